@@ -1,0 +1,1 @@
+"""Everything that teaches, plans and controls; nothing below imports ROS."""

@@ -1,0 +1,67 @@
+"""Settings as dataclasses, read from the YAML parameter files that the nodes use too."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from unifeed_ros.core.errors import ConfigError
+
+T = TypeVar("T")
+
+
+def load_parameters(path: Path) -> dict[str, Any]:
+    """Read a ROS 2 parameter file of the form ``/**: ros__parameters: ...``.
+
+    Args:
+        path: YAML file.
+
+    Returns:
+        The parameters as nested dictionaries.
+
+    Raises:
+        ConfigError: The file is missing, is not YAML, or has another form.
+    """
+    try:
+        tree = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise ConfigError(f"parameter file {path}", got=error.strerror or str(error), mend="check the path") from error
+    except yaml.YAMLError as error:
+        raise ConfigError(f"parameter file {path} is not YAML", got=str(error).replace("\n", " ")) from error
+    try:
+        parameters = tree["/**"]["ros__parameters"]
+    except (TypeError, KeyError) as error:
+        raise ConfigError(f"parameter file {path}", expected="/**: ros__parameters:") from error
+    return dict(parameters)
+
+
+def from_mapping(kind: type[T], values: Mapping[str, Any], where: str) -> T:
+    """Build a settings dataclass from a mapping, refusing unknown and missing names.
+
+    Args:
+        kind: Dataclass of settings.
+        values: Values by field name.
+        where: What the values belong to, for the error ("robot in panda.yaml").
+
+    Returns:
+        The settings, checked by the dataclass itself.
+
+    Raises:
+        ConfigError: A name is unknown or missing, or a value is refused.
+    """
+    fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    unknown = sorted(set(values) - set(fields))
+    if unknown:
+        raise ConfigError(f"{where} has unknown settings", expected=", ".join(fields), got=", ".join(unknown))
+    required = {n for n, f in fields.items() if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING}
+    missing = sorted(required - set(values))
+    if missing:
+        raise ConfigError(f"{where} lacks settings", expected=", ".join(missing))
+    try:
+        return kind(**values)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(where, got=str(error)) from error
