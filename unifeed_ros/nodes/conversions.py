@@ -1,0 +1,234 @@
+"""The only place where messages meet core types."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import Point
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from unifeed_msgs.msg import Contact, Feedback, RewardModel, TaskContext, TeachingState
+from unifeed_ros.core.capture.contact import ContactSample
+from unifeed_ros.core.control.controller import Command
+from unifeed_ros.core.errors import InputError
+from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
+from unifeed_ros.core.reward.ensemble import RewardEnsemble
+from unifeed_ros.core.types import Array, Context, RobotState, Trajectory
+
+NANOSECONDS = 1_000_000_000
+
+
+def seconds(stamp: Time | Duration) -> float:
+    """Convert a stamp or a duration to seconds."""
+    return float(stamp.sec) + stamp.nanosec / NANOSECONDS
+
+
+def stamp(time: float) -> Time:
+    """Convert seconds to a stamp, to the nanosecond."""
+    sec, nanosec = divmod(round(time * NANOSECONDS), NANOSECONDS)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def header(time: float, frame: str = "") -> Header:
+    """Make a header from seconds and a frame."""
+    return Header(stamp=stamp(time), frame_id=frame)
+
+
+class JointOrder:
+    """Map joint messages to one robot's joint order by name; remembers the last message's order."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = tuple(names)
+        self._seen: list[str] | None = None
+        self._index: list[int] | None = None
+        self._identity = False
+
+    def pick(self, message_names: list[str], values: Sequence[float], what: str) -> Array:
+        """Put values into the robot's order.
+
+        Args:
+            message_names: Joint names of the message.
+            values: Values of the message, one a name.
+            what: Name of the values, for the error.
+
+        Returns:
+            Values in the robot's order, shape (n,).
+
+        Raises:
+            InputError: A joint is missing, a length differs, or a value is not finite.
+        """
+        if message_names != self._seen:
+            missing = [n for n in self._names if n not in message_names]
+            if missing:
+                raise InputError(f"{what}: joints are missing", expected=", ".join(self._names), got=", ".join(message_names))
+            self._index = [message_names.index(n) for n in self._names]
+            self._identity = self._index == list(range(len(message_names)))
+            self._seen = list(message_names)
+        if len(values) != len(message_names):
+            raise InputError(f"number of {what}", expected=len(message_names), got=len(values))
+        picked = np.array(values, dtype=np.float64)
+        if not self._identity:
+            picked = picked[self._index]
+        if not np.isfinite(picked).all():
+            raise InputError(f"{what} are not finite", got=picked.tolist())
+        return picked
+
+
+def robot_state_from_msg(msg: JointState, order: JointOrder) -> RobotState:
+    """Convert a joint state; velocities that are not sent count as an error."""
+    return RobotState(
+        time=seconds(msg.header.stamp),
+        positions=order.pick(msg.name, msg.position, "joint positions"),
+        velocities=order.pick(msg.name, msg.velocity, "joint velocities"),
+    )
+
+
+def joint_state_msg(time: float, names: Sequence[str], *, position: Array | None = None, velocity: Array | None = None,
+                    effort: Array | None = None, frame: str = "") -> JointState:
+    """Make a joint state from arrays of shape (n,) [rad], [rad/s], [Nm]; what is None stays empty."""
+    msg = JointState(header=header(time, frame), name=list(names))
+    for field, values in (("position", position), ("velocity", velocity), ("effort", effort)):
+        if values is not None:
+            setattr(msg, field, array("d", np.asarray(values, dtype=np.float64).tobytes()))
+    return msg
+
+
+def trajectory_to_msg(trajectory: Trajectory, time: float = 0.0, frame: str = "") -> JointTrajectory:
+    """Convert a trajectory; its times become times from the start."""
+    msg = JointTrajectory(header=header(time, frame), joint_names=list(trajectory.joint_names))
+    for k, moment in enumerate(trajectory.times):
+        relative = stamp(float(moment))
+        point = JointTrajectoryPoint(positions=array("d", trajectory.positions[k].tobytes()))
+        point.time_from_start = Duration(sec=relative.sec, nanosec=relative.nanosec)
+        if trajectory.velocities is not None:
+            point.velocities = array("d", trajectory.velocities[k].tobytes())
+        if trajectory.accelerations is not None:
+            point.accelerations = array("d", trajectory.accelerations[k].tobytes())
+        msg.points.append(point)
+    return msg
+
+
+def trajectory_from_msg(msg: JointTrajectory, names: Sequence[str] | None = None) -> Trajectory:
+    """Convert a trajectory message, mapping its joints by name.
+
+    Args:
+        msg: The message.
+        names: Joint order wanted; the message's own by default.
+
+    Returns:
+        The trajectory.
+
+    Raises:
+        InputError: Joints are missing, or times, positions or lengths cannot be used.
+    """
+    order = JointOrder(names or msg.joint_names)
+    points = msg.points
+
+    def column(field: str) -> Array | None:
+        if not points or not all(len(getattr(p, field)) for p in points):
+            return None
+        return np.stack([order.pick(msg.joint_names, getattr(p, field), f"{field} of the trajectory") for p in points])
+
+    positions = column("positions")
+    if positions is None:
+        raise InputError("trajectory without positions", expected="at least two points", got=f"{len(points)} points")
+    return Trajectory(
+        joint_names=tuple(names or msg.joint_names), times=[seconds(p.time_from_start) for p in points],
+        positions=positions, velocities=column("velocities"), accelerations=column("accelerations"))
+
+
+def context_to_msg(context: Context) -> TaskContext:
+    """Convert a context."""
+    return TaskContext(
+        task=context.task, goal=Point(**dict(zip("xyz", map(float, context.goal), strict=True))),
+        object_names=list(context.objects),
+        object_positions=[Point(**dict(zip("xyz", map(float, p), strict=True))) for p in context.objects.values()])
+
+
+def context_from_msg(msg: TaskContext) -> Context:
+    """Convert a context message; names and positions must be as many."""
+    if len(msg.object_names) != len(msg.object_positions):
+        raise InputError("objects of the context", expected=f"{len(msg.object_names)} positions", got=len(msg.object_positions))
+    positions = [np.array([p.x, p.y, p.z]) for p in msg.object_positions]
+    return Context(task=msg.task, goal=np.array([msg.goal.x, msg.goal.y, msg.goal.z]),
+                   objects=dict(zip(msg.object_names, positions, strict=True)))
+
+
+def feedback_to_msg(item: FeedbackItem, time: float, frame: str) -> Feedback:
+    """Convert one thing that the person taught."""
+    msg = Feedback(header=header(time, frame), id=item.id, robot=item.robot, context=context_to_msg(item.context))
+    if isinstance(item, Demonstration):
+        msg.kind = Feedback.DEMONSTRATION
+        msg.demonstration = trajectory_to_msg(item.trajectory)
+    elif isinstance(item, Correction):
+        msg.kind = Feedback.CORRECTION
+        msg.planned, msg.corrected = trajectory_to_msg(item.planned), trajectory_to_msg(item.corrected)
+        msg.span_start, msg.span_end = map(float, item.span)
+    else:
+        msg.kind = Feedback.PREFERENCE
+        msg.query_id = item.query_id
+        msg.options = [trajectory_to_msg(option) for option in item.options]
+        msg.ranks = [int(rank) for rank in item.ranks]
+    return msg
+
+
+def feedback_from_msg(msg: Feedback, names: Sequence[str] | None = None) -> FeedbackItem:
+    """Convert a feedback message, its joints put into the given order.
+
+    Raises:
+        InputError: The kind is unknown, or a trajectory cannot be used.
+    """
+    common = {"id": msg.id, "robot": msg.robot, "context": context_from_msg(msg.context)}
+    if msg.kind == Feedback.DEMONSTRATION:
+        return Demonstration(trajectory=trajectory_from_msg(msg.demonstration, names), **common)
+    if msg.kind == Feedback.CORRECTION:
+        return Correction(planned=trajectory_from_msg(msg.planned, names), corrected=trajectory_from_msg(msg.corrected, names),
+                          span=(msg.span_start, msg.span_end), **common)
+    if msg.kind == Feedback.PREFERENCE:
+        return Preference(options=tuple(trajectory_from_msg(o, names) for o in msg.options), ranks=tuple(msg.ranks),
+                          query_id=msg.query_id, **common)
+    raise InputError("kind of feedback", expected="1, 2 or 3", got=msg.kind)
+
+
+def model_to_msg(model: RewardEnsemble, time: float) -> RewardModel:
+    """Convert a learned reward."""
+    return RewardModel(
+        header=header(time, model.frame), version=model.version, robot=model.robot, inputs=list(model.inputs),
+        layer_sizes=list(model.layer_sizes), activation="leaky_relu", members=int(model.weights[0].shape[0]),
+        weights=array("f", model.flat_weights().astype(np.float32).tobytes()), feedback_ids=list(model.feedback_ids),
+        seed=model.seed)
+
+
+def model_from_msg(msg: RewardModel) -> RewardEnsemble:
+    """Convert a reward model message.
+
+    Raises:
+        InputError: The activation is unknown.
+        ShapeError: The number of weights does not fit the layers.
+    """
+    if msg.activation != "leaky_relu":
+        raise InputError("activation of the reward model", expected="leaky_relu", got=msg.activation)
+    return RewardEnsemble.from_flat(
+        np.array(msg.weights, dtype=np.float32), version=msg.version, robot=msg.robot, frame=msg.header.frame_id,
+        inputs=tuple(msg.inputs), layer_sizes=tuple(msg.layer_sizes), members=msg.members,
+        feedback_ids=tuple(msg.feedback_ids), seed=msg.seed)
+
+
+def teaching_state_to_msg(command: Command, time: float, duration: float, frame: str) -> TeachingState:
+    """Convert what the controller does; the duration is that of the motion under way [s]."""
+    return TeachingState(
+        header=header(time, frame), mode=int(command.mode), control=int(command.control), authority=float(command.authority),
+        motion_id=command.motion_id, motion_time=float(command.motion_time), motion_duration=float(duration),
+        force=float(command.force), message=command.message)
+
+
+def contact_to_msg(sample: ContactSample, time: float, frame: str) -> Contact:
+    """Convert a contact sample."""
+    return Contact(
+        header=header(time, frame), kind=int(sample.kind), onset=stamp(sample.onset or 0.0), level=float(sample.level),
+        torque=array("d", np.asarray(sample.torque).tobytes()), bias=array("d", np.asarray(sample.bias).tobytes()))
