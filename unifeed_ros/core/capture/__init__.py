@@ -1,0 +1,1 @@
+"""From external torque to contact, and from contact to demonstrations and corrections."""
