@@ -11,7 +11,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from unifeed_ros.core.errors import ConfigError, InputError, ShapeError, UnreachableError
+from unifeed_ros.core.config import from_mapping, load_parameters
+from unifeed_ros.core.errors import ConfigError, InputError, ShapeError, UnifeedError, UnreachableError
 from unifeed_ros.core.types import Array, frozen_array
 
 TOOL_STATE = ("x", "y", "z", "axis_x", "axis_y", "axis_z")
@@ -72,6 +73,27 @@ class RobotConfig:
                 raise ConfigError(f"{name} of robot {self.name}", expected="finite, not negative", got=values)
             object.__setattr__(self, name, values)
         object.__setattr__(self, "joints", tuple(self.joints))
+
+
+def load_robot(path: Path) -> RobotConfig:
+    """Read a robot's settings from a ROS 2 parameter file with the group ``robot``.
+
+    Args:
+        path: YAML file, for example config/robots/panda.yaml.
+
+    Returns:
+        The settings.
+
+    Raises:
+        ConfigError: The file is missing or malformed, or a value cannot be used; the message names the file.
+    """
+    parameters = load_parameters(path)
+    if not isinstance(parameters.get("robot"), dict):
+        raise ConfigError(f"parameter file {path}", expected="a group named robot", got=", ".join(parameters) or "nothing")
+    try:
+        return from_mapping(RobotConfig, parameters["robot"], f"robot in {path.name}")
+    except UnifeedError as error:
+        raise ConfigError(f"parameter file {path}", got=str(error)) from error
 
 
 def find_urdf(urdf: str) -> Path:
