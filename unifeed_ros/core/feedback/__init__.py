@@ -1,0 +1,1 @@
+"""What a person taught: demonstrations, corrections, preferences, and the alternatives they are compared with."""

@@ -1,0 +1,73 @@
+"""Everything that one robot was taught in a session: grows, never changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from unifeed_ros.core.errors import InputError
+from unifeed_ros.core.feedback.items import FeedbackItem
+
+
+class FeedbackDataset:
+    """Append-only log of feedback; undoing an item hides it and keeps its name taken.
+
+    Attributes:
+        robot: Robot that is taught.
+        joint_names: Names of its joints, in order.
+    """
+
+    def __init__(self, robot: str, joint_names: Sequence[str]) -> None:
+        """Start an empty dataset for one robot."""
+        self.robot = robot
+        self.joint_names = tuple(joint_names)
+        self._log: dict[str, FeedbackItem] = {}
+        self._undone: set[str] = set()
+
+    @property
+    def items(self) -> tuple[FeedbackItem, ...]:
+        """The items that were not undone, in the order in which they were taught."""
+        return tuple(item for item in self._log.values() if item.id not in self._undone)
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Number of demonstrations, corrections and preferences that were not undone."""
+        letters = [item.letter for item in self.items]
+        return letters.count("D"), letters.count("C"), letters.count("P")
+
+    def add(self, item: FeedbackItem) -> None:
+        """Append an item.
+
+        Args:
+            item: What was taught.
+
+        Raises:
+            InputError: It is of another robot, of other joints, or its name was used before.
+        """
+        if item.robot != self.robot:
+            raise InputError(f"robot of {item.kind} {item.id}", expected=self.robot, got=item.robot)
+        if item.joint_names != self.joint_names:
+            raise InputError(f"joints of {item.kind} {item.id}", expected=self.joint_names, got=item.joint_names)
+        if item.id in self._log:
+            raise InputError(f"{item.kind} {item.id} is already there", mend="give each item a name of its own")
+        self._log[item.id] = item
+
+    def undo(self, id: str | None = None) -> FeedbackItem:
+        """Hide an item.
+
+        Args:
+            id: Name of the item; the last one by default.
+
+        Returns:
+            The item that was hidden.
+
+        Raises:
+            InputError: No such item is there.
+        """
+        items = {item.id: item for item in self.items}
+        if not items:
+            raise InputError("nothing to undo", mend="teach something first")
+        name = id or next(reversed(items))
+        if name not in items:
+            raise InputError("no such feedback", expected=", ".join(items), got=name)
+        self._undone.add(name)
+        return items[name]

@@ -1,0 +1,115 @@
+"""Smooth alternatives near a given motion (paper eqs. M1 and M2)."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from unifeed_ros.core.errors import ConfigError, ShapeError
+from unifeed_ros.core.types import Array
+
+Ends = Literal["fixed", "free"]
+"""What a deformation does to the last point: keeps it ("fixed") or moves it ("free"). The first point always stays."""
+
+
+@lru_cache(maxsize=32)
+def deformation_matrix(count: int, ends: Ends = "fixed") -> Array:
+    """Compute the matrix that makes a smooth deformation of noise.
+
+    M = (A^T A)^{-1}, A the second differences of the points followed and preceded by zeros (paper eq. M2). With a
+    free end the rows of A that reach past the last point are left out.
+
+    Args:
+        count: Number of points that move, at least 1.
+        ends: Whether the points past the last one stay ("fixed") or do not exist ("free").
+
+    Returns:
+        M, symmetric positive definite, read-only, shape (count, count).
+
+    Raises:
+        ConfigError: No points, or another word for the ends.
+    """
+    if count < 1 or ends not in ("fixed", "free"):
+        raise ConfigError("deformation", expected="points to move, ends fixed or free", got=(count, ends))
+    differences = np.zeros((count + 2, count))
+    for row, value in enumerate((1.0, -2.0, 1.0)):
+        differences[np.arange(count) + row, np.arange(count)] = value
+    if ends == "free":
+        differences = differences[:count]
+    inverse = np.linalg.inv(differences.T @ differences)
+    matrix: Array = 0.5 * (inverse + inverse.T)
+    matrix.flags.writeable = False
+    return matrix
+
+
+def noise_scale(count: int, ends: Ends = "fixed") -> float:
+    """Compute the noise that deforms the middle of a trajectory by one unit.
+
+    The middle point of M lambda has the variance sigma^2 sum_j M_mj^2 for independent lambda_j of deviation sigma.
+
+    Args:
+        count: Number of points that move.
+        ends: As for the matrix.
+
+    Returns:
+        Standard deviation of lambda for a root-mean-square mid-trajectory deformation of 1.
+    """
+    return float(1.0 / np.linalg.norm(deformation_matrix(count, ends)[(count - 1) // 2]))
+
+
+def sample_deformations(points: int, sizes: ArrayLike, rng: np.random.Generator, *, ends: Ends = "fixed") -> Array:
+    """Draw smooth deformations M lambda with Gaussian lambda (paper eq. M1).
+
+    Args:
+        points: Number of points H of the trajectory, both ends included, at least 3.
+        sizes: Root-mean-square deformation of the middle, one a coordinate, shape (..., D) [the coordinate's unit].
+        rng: Source of randomness.
+        ends: Whether the last point stays. The first one always does.
+
+    Returns:
+        Deformations, shape (..., H, D) [the coordinates' units].
+
+    Raises:
+        ShapeError: Fewer than three points.
+        ConfigError: A size is negative or not finite.
+    """
+    if points < 3:
+        raise ShapeError("points of a trajectory to deform", expected="at least 3", got=points)
+    sizes = np.asarray(sizes, dtype=np.float64)
+    if not (np.isfinite(sizes) & (sizes >= 0)).all():
+        raise ConfigError("size of a deformation", expected="finite, not negative", got=float(np.min(sizes)))
+    moving = points - (2 if ends == "fixed" else 1)
+    *alternatives, coordinates = sizes.shape
+    noise = rng.standard_normal((*alternatives, moving, coordinates)) * noise_scale(moving, ends) * sizes[..., None, :]
+    deformations = np.zeros((*alternatives, points, coordinates))
+    deformations[..., 1:1 + moving, :] = deformation_matrix(moving, ends) @ noise
+    return deformations
+
+
+def deform_tool_states(states: Array, position_sizes: ArrayLike, axis_sizes: ArrayLike, rng: np.random.Generator, *,
+                       ends: Ends = "fixed") -> Array:
+    """Draw alternatives near a motion of the tool (paper eq. M1, in the space of the tool).
+
+    The tool's axis is deformed like a position and brought back to unit length. Deforming the tool instead of the
+    joints makes the size mean the same for every arm and posture, and lets position and axis vary apart, so that the
+    reward can tell which of them mattered. The arm need not be able to carry the alternatives out.
+
+    Args:
+        states: Tool states along the motion, shape (H, 6) [m, 1].
+        position_sizes: Root-mean-square deformation of the middle for each alternative, shape (K,) [m].
+        axis_sizes: The same for the axis, shape (K,) [rad].
+        rng: Source of randomness.
+        ends: Whether the last state stays.
+
+    Returns:
+        Alternatives, shape (K, H, 6) [m, 1].
+    """
+    position_sizes, axis_sizes = np.asarray(position_sizes, dtype=np.float64), np.asarray(axis_sizes, dtype=np.float64)
+    sizes = np.stack([position_sizes] * 3 + [axis_sizes] * 3, axis=-1)
+    alternatives = states + sample_deformations(len(states), sizes, rng, ends=ends)
+    axes = alternatives[..., 3:]
+    alternatives[..., 3:] = axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-9)
+    return alternatives

@@ -1,0 +1,165 @@
+"""The comparisons that the networks learn from: Algorithm 1's rankings buffer, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unifeed_ros.core.errors import ConfigError, TrainingError
+from unifeed_ros.core.feedback.dataset import FeedbackDataset
+from unifeed_ros.core.feedback.deformation import Ends, deform_tool_states
+from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem
+from unifeed_ros.core.reward.features import input_map, input_names
+from unifeed_ros.core.robot import RobotModel
+from unifeed_ros.core.types import Array, Context, Trajectory
+
+Inputs = NDArray[np.float32]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlternativesConfig:
+    """How the alternatives of a shown motion are drawn (paper eq. M1)."""
+
+    position_sizes: Sequence[float] = (0.05, 0.1, 0.2, 0.3)
+    """Sizes of the tool's displacement, one drawn for each alternative (RMS of the middle in each coordinate) [m]."""
+    axis_sizes: Sequence[float] = (0.1, 0.3)
+    """Sizes of the tilt of the tool's axis, one drawn for each alternative that tilts [rad]."""
+    axis_share: float = 0.3
+    """Share of alternatives that tilt the axis, half of them without moving the tool: what matters must show alone."""
+    free_end_share: float = 0.5
+    """Share of a demonstration's alternatives whose end moves too, so that the goal itself is learned."""
+
+    def __post_init__(self) -> None:
+        """Reject sizes and shares that mean nothing."""
+        for name in ("position_sizes", "axis_sizes"):
+            sizes = tuple(float(s) for s in getattr(self, name))
+            if not sizes or not all(0.0 < s < 10.0 for s in sizes):
+                raise ConfigError(name, expected="sizes above 0 and below 10", got=sizes)
+            object.__setattr__(self, name, sizes)
+        for name in ("axis_share", "free_end_share"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ConfigError(name, expected="0 to 1", got=getattr(self, name))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RankingsBuffer:
+    """Motions as network inputs, and which is better than which (paper Algorithm 1's B).
+
+    H states a motion, I inputs a state; A motions that people or the robot really showed.
+    """
+
+    inputs: tuple[str, ...]
+    """Names of the inputs, length I."""
+    shown: Inputs
+    """Motions that were shown, shape (A, H, I)."""
+    demonstrated: Indices
+    """Which of them are demonstrations, shape (D,)."""
+    corrected: Indices
+    """Which are corrected spans, shape (C,)."""
+    planned: Indices
+    """What the robot meant to do in those spans, shape (C,)."""
+    better: Indices
+    """Better option of each ranked pair, shape (P,)."""
+    worse: Indices
+    """Worse option of each ranked pair, shape (P,)."""
+    demonstration_alternatives: Inputs
+    """Deformations of each demonstration, shape (D, N_d, H, I)."""
+    correction_alternatives: Inputs
+    """Deformations of each corrected span, shape (C, N_c, H, I)."""
+
+
+def build_buffer(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int, demonstration_alternatives: int,
+                 correction_alternatives: int, config: AlternativesConfig, rng: np.random.Generator) -> RankingsBuffer:
+    """Fill Algorithm 1's buffer from everything that was taught.
+
+    Each motion, and each corrected span, is sampled at evenly spaced times into the same number of states.
+
+    Args:
+        dataset: What was taught.
+        robot: The arm that was taught.
+        waypoints: States a motion H.
+        demonstration_alternatives: Alternatives of each demonstration N_d.
+        correction_alternatives: Alternatives of each correction N_c.
+        config: How alternatives are drawn.
+        rng: Source of randomness.
+
+    Returns:
+        The buffer.
+
+    Raises:
+        TrainingError: Nothing was taught that a comparison can be made from.
+    """
+    items = [item for item in dataset.items if isinstance(item, (Demonstration, Correction)) or item.ranked_pairs]
+    if not items:
+        raise TrainingError("nothing to learn from", expected="a demonstration, a correction or a ranking",
+                            got=f"{len(dataset.items)} items without a comparison",
+                            mend="teach the robot something first")
+    return _Filler(items, robot, waypoints, config, rng).fill(demonstration_alternatives, correction_alternatives)
+
+
+class _Filler:
+    """Collects motions one after the other, so that an item's motions and alternatives share its scene."""
+
+    def __init__(self, items: Sequence[FeedbackItem], robot: RobotModel, waypoints: int, config: AlternativesConfig,
+                 rng: np.random.Generator) -> None:
+        self._items, self._robot, self._waypoints, self._config, self._rng = items, robot, waypoints, config, rng
+        self._names = input_names([item.context for item in items])
+        self._shown: list[Inputs] = []
+
+    def fill(self, demonstration_count: int, correction_count: int) -> RankingsBuffer:
+        demonstrated, corrected, planned, better, worse = [], [], [], [], []
+        demonstration_alternatives, correction_alternatives = [], []
+        for item in self._items:
+            if isinstance(item, Demonstration):
+                demonstrated.append(self._show(item.trajectory, item.context))
+                demonstration_alternatives.append(self._vary(item.trajectory, item.context, demonstration_count,
+                                                             self._config.free_end_share))
+            elif isinstance(item, Correction):
+                corrected.append(self._show(item.corrected, item.context))
+                planned.append(self._show(item.planned, item.context))
+                correction_alternatives.append(self._vary(item.corrected, item.context, correction_count, 0.0))
+            else:
+                options = [self._show(option, item.context) for option in item.options]
+                better += [options[i] for i, _ in item.ranked_pairs]
+                worse += [options[j] for _, j in item.ranked_pairs]
+        return RankingsBuffer(
+            inputs=self._names, shown=np.stack(self._shown), demonstrated=_indices(demonstrated),
+            corrected=_indices(corrected), planned=_indices(planned), better=_indices(better), worse=_indices(worse),
+            demonstration_alternatives=self._stack(demonstration_alternatives, demonstration_count),
+            correction_alternatives=self._stack(correction_alternatives, correction_count))
+
+    def _show(self, trajectory: Trajectory, context: Context) -> int:
+        self._shown.append(self._inputs(self._states(trajectory), context))
+        return len(self._shown) - 1
+
+    def _states(self, trajectory: Trajectory) -> Array:
+        return self._robot.tool_states(trajectory.resampled(self._waypoints))
+
+    def _inputs(self, states: Array, context: Context) -> Inputs:
+        matrix, offset = input_map(self._names, context)
+        return (states @ matrix + offset).astype(np.float32)
+
+    def _vary(self, trajectory: Trajectory, context: Context, count: int, free_share: float) -> Inputs:
+        rng, config, states = self._rng, self._config, self._states(trajectory)
+        free = round(free_share * count)
+        tilts = rng.random(count) < config.axis_share
+        moves = ~tilts | (rng.random(count) < 0.5)
+        position_sizes = np.where(moves, rng.choice(config.position_sizes, count), 0.0)
+        axis_sizes = np.where(tilts, rng.choice(config.axis_sizes, count), 0.0)
+        parts: list[tuple[Ends, slice]] = [("free", slice(0, free)), ("fixed", slice(free, count))]
+        return self._inputs(np.concatenate([
+            deform_tool_states(states, position_sizes[part], axis_sizes[part], rng, ends=ends)
+            for ends, part in parts]), context)
+
+    def _stack(self, alternatives: list[Inputs], count: int) -> Inputs:
+        if alternatives:
+            return np.stack(alternatives)
+        return np.zeros((0, count, self._waypoints, len(self._names)), dtype=np.float32)
+
+
+def _indices(values: list[int]) -> Indices:
+    return np.array(values, dtype=np.int64)

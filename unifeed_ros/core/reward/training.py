@@ -1,0 +1,296 @@
+"""Trains the ensemble on everything that was taught (paper eq. M9 and Algorithm 1)."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from unifeed_ros.core.errors import ConfigError, TrainingError
+from unifeed_ros.core.feedback.dataset import FeedbackDataset
+from unifeed_ros.core.reward.buffer import AlternativesConfig, RankingsBuffer, build_buffer
+from unifeed_ros.core.reward.ensemble import LEAK, RewardEnsemble
+from unifeed_ros.core.reward.losses import LossTerms, correction_loss, demonstration_loss, preference_loss
+from unifeed_ros.core.robot import RobotModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingConfig:
+    """Settings of the reward ensemble's training."""
+
+    members: int = 3
+    """Number of networks, at least 2 (disagreement needs two)."""
+    hidden: Sequence[int] = (64, 64)
+    """Widths of the hidden layers."""
+    waypoints: int = 20
+    """States H that a motion is compared by; the planner should use as many."""
+    demonstration_comparisons: int = 200
+    """Alternatives of each demonstration N_d, and the weight of eq. M4 in the sum."""
+    correction_comparisons: int = 200
+    """Alternatives of each correction N_c, and the weight of eq. M5 in the sum."""
+    preference_comparisons: int = 200
+    """Weight of eq. M6 in the sum N_q: how often each ranked pair stands in the buffer."""
+    batch: int = 32
+    """Alternatives seen in one step, shared evenly by demonstrations and corrections."""
+    steps: int = 400
+    """Steps of the optimiser from scratch."""
+    learning_rate: float = 5e-3
+    """Learning rate at the start; it falls to zero along a half cosine."""
+    weight_penalty: float = 1e-3
+    """Weight of the sum of squared weights of each member."""
+    warm_steps: int = 0
+    """Steps when going on from the previous model; 0: always from scratch."""
+    warm_learning_rate: float = 2e-3
+    """Learning rate at the start when going on from the previous model."""
+    alternatives: AlternativesConfig = field(default_factory=AlternativesConfig)
+    """How alternatives are drawn."""
+
+    def __post_init__(self) -> None:
+        """Reject values that would only fail in the middle of a lesson."""
+        object.__setattr__(self, "hidden", tuple(int(w) for w in self.hidden))
+        least = {"members": 2, "waypoints": 4, "demonstration_comparisons": 1, "correction_comparisons": 1,
+                 "preference_comparisons": 1, "batch": 1, "steps": 1, "warm_steps": 0}
+        for name, bound in least.items():
+            if getattr(self, name) < bound:
+                raise ConfigError(name, expected=f"at least {bound}", got=getattr(self, name))
+        if not self.hidden or min(self.hidden) < 1:
+            raise ConfigError("hidden", expected="widths of at least 1", got=self.hidden)
+        for name in ("learning_rate", "warm_learning_rate"):
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise ConfigError(name, expected="above 0 and below 1", got=getattr(self, name))
+        if not self.weight_penalty >= 0.0:
+            raise ConfigError("weight_penalty", expected="not negative", got=self.weight_penalty)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingResult:
+    """A trained ensemble and how the training went."""
+
+    ensemble: RewardEnsemble
+    """The networks."""
+    seconds: float
+    """Wall-clock time [s]."""
+    steps: int
+    """Steps of the optimiser."""
+    loss_demonstrations: float
+    """Mean cross-entropy of a comparison with a demonstration, eq. M4 [nat]."""
+    loss_corrections: float
+    """Mean cross-entropy of a comparison with a correction, eq. M5 [nat]."""
+    loss_preferences: float
+    """Mean cross-entropy of a ranked pair, eq. M6 [nat]."""
+    accuracy: float
+    """Share of fresh comparisons that the ensemble's mean decides as the person did, 0 to 1."""
+
+
+def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig, *, version: int, seed: int,
+                 previous: RewardEnsemble | None = None,
+                 on_progress: Callable[[float], None] | None = None) -> TrainingResult:
+    """Train an ensemble on all feedback (paper Algorithm 1, one pass of its outer loop).
+
+    Members and comparisons are evaluated together; each member draws its own alternatives in every step.
+    One thread, and the same arguments give the same bytes.
+
+    Args:
+        dataset: What was taught.
+        robot: The arm that was taught.
+        config: Settings.
+        version: Version of the new model.
+        seed: Seed of everything random.
+        previous: Model to go on from, if the settings allow it and its inputs and sizes are the same.
+        on_progress: Called now and then with the share of the steps that are done.
+
+    Returns:
+        The ensemble and figures.
+
+    Raises:
+        TrainingError: Nothing to learn from, or a member that stayed dead or diverged.
+    """
+    began = time.perf_counter()
+    rng = np.random.default_rng(seed)
+    buffer = _build(dataset, robot, config, rng)
+    sizes = (len(buffer.inputs), *config.hidden, 1)
+    with _one_thread():
+        networks = _Networks(sizes, config.members, rng)
+        warm = config.warm_steps > 0 and previous is not None and networks.load(previous, buffer.inputs)
+        steps = config.warm_steps if warm else config.steps
+        _optimise(networks, buffer, config, steps, config.warm_learning_rate if warm else config.learning_rate,
+                  rng, on_progress)
+        terms, accuracy = _evaluate(networks, _build(dataset, robot, config, rng))
+    ensemble = RewardEnsemble(
+        version=version, robot=dataset.robot, frame=robot.config.base_frame, inputs=buffer.inputs, layer_sizes=sizes,
+        weights=tuple(w.detach().numpy() for w in networks.weights),
+        biases=tuple(b.detach().numpy()[:, 0] for b in networks.biases),
+        feedback_ids=tuple(item.id for item in dataset.items), seed=seed)
+    return TrainingResult(
+        ensemble=ensemble, seconds=time.perf_counter() - began, steps=steps, accuracy=accuracy,
+        loss_demonstrations=_mean(terms.demonstrations, len(buffer.demonstrated)),
+        loss_corrections=_mean(terms.corrections, 2 * len(buffer.corrected)),
+        loss_preferences=_mean(terms.preferences, len(buffer.better)))
+
+
+class _Networks:
+    """The members' weights, one tensor a layer, and their joint forward pass."""
+
+    def __init__(self, sizes: Sequence[int], members: int, rng: np.random.Generator) -> None:
+        self._sizes, self._rng = tuple(sizes), rng
+        layers = list(itertools.pairwise(sizes))
+        self.weights = [torch.zeros(members, i, o) for i, o in layers]
+        self.biases = [torch.zeros(members, 1, o) for _, o in layers]
+        for member in range(members):
+            self.restart(member)
+        for parameter in self.parameters:
+            parameter.requires_grad_(True)
+
+    @property
+    def parameters(self) -> list[Tensor]:
+        return [*self.weights, *self.biases]
+
+    def restart(self, member: int) -> None:
+        """Draw a member's weights anew (Glorot's uniform rule, biases zero)."""
+        with torch.no_grad():
+            for weight, bias in zip(self.weights, self.biases, strict=True):
+                bound = np.sqrt(6.0 / (weight.shape[1] + weight.shape[2]))
+                weight[member] = torch.from_numpy(self._rng.uniform(-bound, bound, weight.shape[1:]).astype(np.float32))
+                bias[member] = 0.0
+
+    def load(self, ensemble: RewardEnsemble, inputs: tuple[str, ...]) -> bool:
+        """Take over the weights of an ensemble of the same shape and inputs; says whether it could."""
+        if (ensemble.layer_sizes, ensemble.inputs, ensemble.members) != (self._sizes, inputs, len(self.weights[0])):
+            return False
+        with torch.no_grad():
+            for mine, theirs in zip(self.weights, ensemble.weights, strict=True):
+                mine.copy_(torch.from_numpy(theirs.copy()))
+            for mine, theirs in zip(self.biases, ensemble.biases, strict=True):
+                mine.copy_(torch.from_numpy(theirs[:, None].copy()))
+        return True
+
+    def rewards(self, motions: Tensor) -> Tensor:
+        """Rewards (m, T, H) of motions (m, T, H, I)."""
+        members, count, states, width = motions.shape
+        hidden = motions.reshape(members, count * states, width)
+        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            hidden = torch.baddbmm(bias, hidden, weight)
+            if layer < len(self.weights) - 1:
+                hidden = torch.nn.functional.leaky_relu(hidden, LEAK)
+        return torch.tanh(hidden).reshape(members, count, states)
+
+
+class _Comparer:
+    """Puts shown motions and alternatives through the networks once and compares their returns."""
+
+    def __init__(self, networks: _Networks, buffer: RankingsBuffer) -> None:
+        self._networks, self._buffer = networks, buffer
+        members = len(networks.weights[0])
+        self.shown = torch.from_numpy(buffer.shown).expand(members, *buffer.shown.shape)
+        self._demonstrations = torch.from_numpy(buffer.demonstration_alternatives)
+        self._corrections = torch.from_numpy(buffer.correction_alternatives)
+        self._members = torch.arange(members)[:, None, None]
+
+    def draw(self, count: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+        """For each member, some alternatives of each demonstration (m, D, K, H, I) and each correction."""
+        return self._pick(self._demonstrations, count, rng), self._pick(self._corrections, count, rng)
+
+    def all_alternatives(self) -> tuple[Tensor, Tensor]:
+        members = len(self.shown)
+        return (self._demonstrations.expand(members, *self._demonstrations.shape),
+                self._corrections.expand(members, *self._corrections.shape))
+
+    def returns(self, alternatives: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns of the shown motions (m, A), of demonstrations' (m, D, K) and of corrections' alternatives."""
+        motions = torch.cat([self.shown, *(a.flatten(1, 2) for a in alternatives)], dim=1)
+        returns = self._networks.rewards(motions).sum(dim=-1)
+        counts = [self.shown.shape[1], *(a.shape[1] * a.shape[2] for a in alternatives)]
+        shown, demonstrations, corrections = returns.split(counts, dim=1)
+        return shown, demonstrations.reshape(alternatives[0].shape[:3]), corrections.reshape(alternatives[1].shape[:3])
+
+    def losses(self, alternatives: tuple[Tensor, Tensor]) -> LossTerms:
+        shown, demonstrations, corrections = self.returns(alternatives)
+        buffer = self._buffer
+        return LossTerms(
+            demonstrations=demonstration_loss(shown[:, buffer.demonstrated], demonstrations),
+            corrections=correction_loss(shown[:, buffer.corrected], shown[:, buffer.planned], corrections),
+            preferences=preference_loss(shown[:, buffer.better], shown[:, buffer.worse]))
+
+    def _pick(self, alternatives: Tensor, count: int, rng: np.random.Generator) -> Tensor:
+        groups, available = alternatives.shape[:2]
+        drawn = torch.from_numpy(rng.integers(available, size=(len(self.shown), groups, count)))
+        return alternatives[torch.arange(groups)[:, None], drawn]
+
+
+def _optimise(networks: _Networks, buffer: RankingsBuffer, config: TrainingConfig, steps: int, learning_rate: float,
+              rng: np.random.Generator, on_progress: Callable[[float], None] | None) -> None:
+    """Minimise eq. M9 with Adam under a cosine schedule, restarting members that die early."""
+    comparer = _Comparer(networks, buffer)
+    weights = (config.demonstration_comparisons, config.correction_comparisons, config.preference_comparisons)
+    counts = (len(buffer.demonstrated), 2 * len(buffer.corrected), len(buffer.better))
+    total = sum(w * c for w, c in zip(weights, counts, strict=True))
+    each = max(1, config.batch // max(1, len(buffer.demonstrated) + len(buffer.corrected)))
+    adam = torch.optim.Adam(networks.parameters, lr=learning_rate, fused=True)
+    for step in range(steps):
+        for group in adam.param_groups:
+            group["lr"] = learning_rate * 0.5 * (1.0 + np.cos(np.pi * step / steps))
+        terms = comparer.losses(comparer.draw(each, rng))
+        entropy = (weights[0] * terms.demonstrations + weights[1] * terms.corrections + weights[2] * terms.preferences)
+        penalty = torch.stack([w.square().sum() for w in networks.weights]).sum()
+        adam.zero_grad(set_to_none=True)
+        (entropy.sum() / total + config.weight_penalty * penalty).backward()
+        adam.step()
+        if step in (steps // 10, steps // 4):
+            for member in _dead_members(networks, comparer):
+                networks.restart(member)
+                for state in adam.state.values():
+                    state["exp_avg"][member] = state["exp_avg_sq"][member] = 0.0
+        if on_progress is not None and (step + 1) % max(1, steps // 20) == 0:
+            on_progress((step + 1) / steps)
+    if dead := _dead_members(networks, comparer):
+        raise TrainingError(f"training left {len(dead)} of {config.members} members dead or diverged",
+                            mend="lower the learning rate, or train again with another seed")
+
+
+def _dead_members(networks: _Networks, comparer: _Comparer) -> list[int]:
+    """Members that reward all shown states alike, or whose rewards are not numbers."""
+    with torch.no_grad():
+        rewards = networks.rewards(comparer.shown).flatten(1)
+    return [member for member, spread in enumerate(rewards.std(dim=1).tolist()) if not spread > 1e-4]
+
+
+def _evaluate(networks: _Networks, fresh: RankingsBuffer) -> tuple[LossTerms, float]:
+    """Losses on fresh alternatives, and the share of comparisons that the members' mean decides rightly."""
+    comparer = _Comparer(networks, fresh)
+    with torch.no_grad():
+        alternatives = comparer.all_alternatives()
+        terms = comparer.losses(alternatives)
+        shown, demonstrations, corrections = (r.mean(dim=0) for r in comparer.returns(alternatives))
+    decided = torch.cat([
+        (shown[fresh.demonstrated][:, None] - demonstrations).flatten(),
+        (shown[fresh.corrected][:, None] - corrections).flatten(),
+        shown[fresh.corrected] - shown[fresh.planned], shown[fresh.better] - shown[fresh.worse]])
+    return terms, float((decided > 0).float().mean())
+
+
+def _build(dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig,
+           rng: np.random.Generator) -> RankingsBuffer:
+    return build_buffer(
+        dataset, robot, waypoints=config.waypoints, demonstration_alternatives=config.demonstration_comparisons,
+        correction_alternatives=config.correction_comparisons, config=config.alternatives, rng=rng)
+
+
+def _mean(sums: Tensor, count: int) -> float:
+    return float(sums.mean()) / count if count else 0.0
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Keep torch to one thread: small matrices gain nothing from more, and sums keep their order."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
