@@ -219,10 +219,10 @@ def model_from_msg(msg: RewardModel) -> RewardEnsemble:
         feedback_ids=tuple(msg.feedback_ids), seed=msg.seed)
 
 
-def teaching_state_to_msg(command: Command, time: float, duration: float, frame: str) -> TeachingState:
+def teaching_state_to_msg(command: Command, state: RobotState, duration: float, frame: str) -> TeachingState:
     """Convert what the controller does; the duration is that of the motion under way [s]."""
     return TeachingState(
-        header=header(time, frame), mode=int(command.mode), control=int(command.control), authority=float(command.authority),
+        header=header(state.time, frame), positions=array("d", np.asarray(state.positions).tobytes()), mode=int(command.mode), control=int(command.control), authority=float(command.authority),
         motion_id=command.motion_id, motion_time=float(command.motion_time), motion_duration=float(duration),
         force=float(command.force), message=command.message)
 

@@ -64,6 +64,9 @@ def settings(node: Node, section: str, kind: type[T], **fixed: Any) -> T:  # noq
             values.setdefault(target, {})[rest[0]] = plain
         else:
             values[target] = plain
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+        if dataclasses.is_dataclass(field.default_factory):
+            values[field.name] = settings(node, f"{section}.{field.name}", field.default_factory)
     docs = field_docs(kind)
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
         full = f"{section}.{field.name}"

@@ -1,0 +1,136 @@
+"""Turns the learned reward into motions (paper eq. M10); a worker plans, the node goes on answering."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.task import Future
+
+from unifeed_msgs.action import OptimizeTrajectory
+from unifeed_msgs.msg import RewardModel
+from unifeed_ros.core.errors import InputError, PlanningError, UnifeedError
+from unifeed_ros.core.planning.plan import Plan, PlannerConfig, PlanProgress, plan_motion
+from unifeed_ros.core.reward.ensemble import RewardEnsemble
+from unifeed_ros.core.types import Array, Context
+from unifeed_ros.nodes.conversions import context_from_msg, model_from_msg, trajectory_to_msg
+from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
+from unifeed_ros.nodes.parameters import settings
+from unifeed_ros.nodes.spin import run_node
+
+
+class TrajectoryOptimizerNode(UnifeedNode):
+    """Answer `optimize_trajectory` with the newest reward model."""
+
+    answers_later = True
+
+    def __init__(self) -> None:
+        super().__init__("trajectory_optimizer")
+        self._robot = self.load_robot()
+        self._scene = self.load_scene()
+        self._config = settings(self, "planner", PlannerConfig)
+        self._start = self._robot.inverse_kinematics(self._scene.start, self._scene.axis)
+        self._goal = self._robot.inverse_kinematics(self._scene.goal, self._scene.axis, seed=self._start)
+        self._model: RewardEnsemble | None = None
+        self._last: Array | None = None
+        self._previews = self.advertise("trajectory_preview")
+        self.listen("reward_model", self._on_model)
+        self._server = ActionServer(
+            self, OptimizeTrajectory, "optimize_trajectory", self._on_execute,
+            goal_callback=lambda _: GoalResponse.ACCEPT, cancel_callback=lambda _: CancelResponse.ACCEPT)
+        self.say(OK, "no reward model yet: the smoothest motion is planned")
+
+    def _on_model(self, msg: RewardModel) -> None:
+        try:
+            model = model_from_msg(msg)
+            if model.robot != self._robot.config.name:
+                raise InputError("reward model of another robot", expected=self._robot.config.name, got=model.robot)
+            model.bind(self._scene.context())  # refuses a model of other objects
+        except UnifeedError as error:
+            self.say(WARN, f"reward model {msg.version} was not taken: {error}")
+            return
+        self._model = model
+        self.say(OK, f"plans with reward model {model.version}")
+
+    async def _on_execute(self, handle: ServerGoalHandle) -> OptimizeTrajectory.Result:
+        done: Future = Future(executor=self.executor)
+        threading.Thread(target=self._plan, args=(handle, self._model, done), name="planning").start()
+        result = OptimizeTrajectory.Result()
+        try:
+            plan, model = await done
+        except UnifeedError as error:
+            result.message, result.status = str(error), "infeasible"
+            handle.abort()
+            return result
+        self._fill(result, plan, model, handle.request)
+        if plan.status == "canceled":
+            handle.canceled()
+        elif plan.success:
+            self._previews.publish(result.trajectory)
+            handle.succeed()
+        else:
+            handle.abort()
+        return result
+
+    def _plan(self, handle: ServerGoalHandle, model: RewardEnsemble | None, done: Future) -> None:
+        """Plan in a thread of its own; whatever happens reaches the action's result."""
+        try:
+            goal = handle.request
+            model = None if goal.smoothest else model
+            context = context_from_msg(goal.context) if goal.context.task else self._scene.context()
+            done.set_result((self._search(handle, model, context), model))
+        except UnifeedError as error:
+            done.set_exception(error)
+        except Exception as error:  # a fault of the search must not leave the action without a result
+            self.get_logger().error(f"planning failed: {error!r}")
+            done.set_exception(PlanningError("planning failed", got=repr(error), mend="see the log"))
+
+    def _search(self, handle: ServerGoalHandle, model: RewardEnsemble | None, context: Context) -> Plan:
+        goal = handle.request
+        config = self._config.adjusted(waypoints=goal.waypoints, time_budget=goal.time_budget)
+        start = self._robot.require_state(goal.start, "start") if goal.start else self._start
+        end = self._robot.require_state(goal.goal, "goal") if goal.goal else self._goal_posture(context)
+        seeds = [self._last] if self._last is not None and not goal.smoothest and len(self._last) == config.waypoints else []
+        plan = plan_motion(
+            self._robot, model.bind(context) if model else None, start, end,
+            duration=goal.duration or (0.0 if goal.smoothest else self._scene.duration), scene=self._scene, config=config,
+            on_iteration=lambda progress: self._on_iteration(handle, progress),
+            should_stop=lambda: handle.is_cancel_requested, seeds=seeds)
+        if plan.success and not goal.smoothest:
+            self._last = plan.waypoints
+        return plan
+
+    def _goal_posture(self, context: Context) -> Array:
+        if np.allclose(context.goal, self._scene.goal):
+            return self._goal
+        return self._robot.inverse_kinematics(context.goal, self._scene.axis, seed=self._start)
+
+    def _on_iteration(self, handle: ServerGoalHandle, progress: PlanProgress) -> None:
+        handle.publish_feedback(OptimizeTrajectory.Feedback(
+            iteration=progress.iteration, objective=float(progress.objective), violation=float(progress.violation),
+            best=float(progress.best)))
+
+    def _fill(self, result: OptimizeTrajectory.Result, plan: Plan, model: RewardEnsemble | None,
+              goal: OptimizeTrajectory.Goal) -> None:
+        result.success, result.message, result.status = plan.success, plan.message, plan.status
+        result.iterations, result.seconds = int(plan.iterations), float(plan.seconds)
+        result.objective = float(plan.objective)
+        if plan.success:
+            result.trajectory = trajectory_to_msg(plan.trajectory)
+        if model is not None:
+            context = context_from_msg(goal.context) if goal.context.task else self._scene.context()
+            rewards = model.member_rewards(self._robot.tool_states(plan.waypoints), context)
+            result.reward = list(map(float, rewards.mean(axis=0)))
+            result.disagreement = list(map(float, rewards.std(axis=0)))
+            result.model_version = model.version
+
+
+def main() -> None:
+    """Run the node `trajectory_optimizer`."""
+    run_node(TrajectoryOptimizerNode)
+
+
+if __name__ == "__main__":
+    main()
