@@ -37,7 +37,7 @@ class ContactConfig:
     bias_time: float = 8.0
     """Time constant with which the bias follows while nobody touches [s]."""
     bias_step: float = 0.5
-    """Part of a threshold that one sample counts for at most when the bias follows, so that a push hardly enters [1]."""
+    """Part of a threshold that one sample counts for at most when the bias follows: a push hardly enters [1]."""
     release_level: float = 0.5
     """Level below which a contact ends; contacts begin above 1 [1]."""
     on_delay: float = 0.02
@@ -45,13 +45,13 @@ class ContactConfig:
     off_delay: float = 0.1
     """Time that the level must stay below the release level before a contact ends [s]."""
     moving_allowance: float = 0.75
-    """Rise of all thresholds while the arm moves, as a part of them: friction and inertia are known less well then [1]."""
+    """Rise of all thresholds while the arm moves, as a part of them: friction is known less well then [1]."""
     moving_speed: float = 0.1
     """Speed of the fastest joint at which the whole moving allowance holds [rad/s]."""
     moving_memory: float = 0.3
     """Time constant with which the moving allowance fades after a motion [s]."""
     steady_time: float = 6.0
-    """A contact whose torque stays the same for so long is a bias that shifted; it ends and the bias is set anew [s]."""
+    """A contact whose torque stays the same for so long is a shifted bias; it ends and the bias is set anew [s]."""
     steady_band: float = 0.5
     """Part of a threshold within which a torque counts as the same [1]."""
     collision_rate: float = 80.0
@@ -59,7 +59,7 @@ class ContactConfig:
     collision_time: float = 0.25
     """A collision that lasts longer becomes a touch [s]."""
     gap: float = 0.5
-    """Longest step between samples that delays are counted across [s]."""
+    """Longest step between samples that delays are counted across; stamps that go back by more begin anew [s]."""
 
     def __post_init__(self) -> None:
         """Reject settings that would make the detector silent or stuck."""
@@ -98,8 +98,8 @@ class ContactDetector:
     """Tell touched from untouched, sample by sample.
 
     The bias b is the median torque of the first moments, then follows slowly while nobody touches. The level is
-    max_j |tau_j - b_j| / threshold_j, divided by 1 + moving_allowance while the arm moves. Levels above 1 begin a contact,
-    levels below the release level end it, both only after a delay.
+    max_j |tau_j - b_j| / threshold_j, divided by 1 + moving_allowance while the arm moves. Levels above 1 begin a
+    contact, levels below the release level end it, both only after a delay.
 
     Known weakness: who touches the arm during the start is taken for bias; it shows as a contact after they let go, and
     ends when the torque has been steady. A push that grows over more than a few bias_time is followed as bias.
@@ -145,7 +145,9 @@ class ContactDetector:
     def update(self, time: float, torque: ArrayLike, velocities: ArrayLike) -> ContactSample:
         """Judge one sample.
 
-        A sample whose stamp is not later than the one before is skipped: the answer is the last one again.
+        A sample whose stamp is not later than the one before is skipped: the answer is the last one again. A stamp that
+        goes back by more than the gap means that the clock began anew (a simulation that restarted), and so does the
+        detector.
 
         Args:
             time: Stamp [s].
@@ -160,6 +162,8 @@ class ContactDetector:
             InputError: The stamp, a torque or a velocity is not finite; the detector is as it was before.
         """
         torque, speed = self._checked(time, torque, velocities)
+        if self._last is not None and time < self._last.time - self._config.gap:
+            self.reset()
         last = self._last
         if last is not None and time <= last.time:
             return last
@@ -181,7 +185,8 @@ class ContactDetector:
         torque = np.array(torque, dtype=np.float64)
         velocities = np.asarray(velocities, dtype=np.float64)
         if torque.shape != (self._n,) or velocities.shape != (self._n,):
-            raise ShapeError("shapes of torque and velocities", expected=f"({self._n},)", got=(torque.shape, velocities.shape))
+            raise ShapeError("shapes of torque and velocities", expected=f"({self._n},)",
+                             got=(torque.shape, velocities.shape))
         speed = max(float(velocities.max()), -float(velocities.min()))
         if not math.isfinite(time + float(torque.sum()) + speed):
             raise InputError("contact sample is not finite", expected="numbers",
@@ -252,6 +257,8 @@ class ContactDetector:
     def _answer(self, time: float, level: float, free: Array) -> ContactSample:
         touched = self._onset is not None
         kind = ContactKind.NONE if not touched else ContactKind.COLLISION if self._hard else ContactKind.TOUCH
-        self._last = ContactSample(time=time, in_contact=touched, kind=kind, onset=self._onset, level=level, torque=free,
-                                   bias=self._bias)
+        free.flags.writeable = False
+        self._bias.flags.writeable = False
+        self._last = ContactSample(time=time, in_contact=touched, kind=kind, onset=self._onset, level=level,
+                                   torque=free, bias=self._bias)
         return self._last

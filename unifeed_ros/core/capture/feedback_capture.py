@@ -1,0 +1,238 @@
+"""Follow a teaching session sample by sample and hand out what the person showed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from unifeed_ros.core.capture.contact import ContactKind, ContactSample
+from unifeed_ros.core.capture.correction import CorrectedSpan, CorrectionConfig, TrackedRun, contact_spans
+from unifeed_ros.core.capture.demonstration import DemonstrationConfig, extract_demonstration
+from unifeed_ros.core.capture.record import JointRecord
+from unifeed_ros.core.errors import ConfigError, InputError
+from unifeed_ros.core.modes import TeachingMode
+from unifeed_ros.core.robot import RobotModel
+from unifeed_ros.core.types import Array, RobotState, Trajectory
+
+REMEMBERED_MOTIONS = 32
+"""Number of trajectories that are kept until the arm tracks them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureConfig:
+    """Settings of capturing."""
+
+    demonstration: DemonstrationConfig = field(default_factory=DemonstrationConfig)
+    """What is cut out of a guided run."""
+    correction: CorrectionConfig = field(default_factory=CorrectionConfig)
+    """What counts as a correction of a tracked run."""
+    pre_roll: float = 0.5
+    """Time before guiding begins that still belongs to it [s]."""
+    rate: float = 200.0
+    """Largest rate of the samples kept [Hz]."""
+    longest: float = 600.0
+    """Longest guided or tracked run that is kept [s]."""
+    restart: float = 0.5
+    """Stamps that go back by more than this mean that the clock began anew, and all is forgotten [s]."""
+
+    def __post_init__(self) -> None:
+        """Reject settings that would record nothing."""
+        for name in ("rate", "longest", "restart"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ConfigError(name, expected="> 0 and finite", got=getattr(self, name))
+        if not 0.0 <= self.pre_roll < math.inf:
+            raise ConfigError("pre_roll", expected=">= 0 s and finite", got=self.pre_roll)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CapturedDemonstration:
+    """The end of a guided run."""
+
+    time: float
+    """Stamp of its end [s]."""
+    trajectory: Trajectory | None
+    """The demonstration; None if there is none."""
+    reason: str
+    """Why there is none; empty otherwise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CapturedCorrections:
+    """The end of a tracked run."""
+
+    time: float
+    """Stamp of its end [s]."""
+    motion_id: str
+    """Name of the motion that was tracked."""
+    touched: bool
+    """Whether a person touched the arm with intent, even if it changed nothing."""
+    corrections: tuple[CorrectedSpan, ...]
+    """What the person changed, in order."""
+    reason: str
+    """Why there is no correction although the arm was touched, or why the run cannot be judged; empty otherwise."""
+
+
+Captured = CapturedDemonstration | CapturedCorrections
+"""What a run ends with."""
+
+
+@dataclass
+class _Touch:
+    onset: float
+    end: float
+    meant: bool
+
+
+class FeedbackCapture:
+    """Collect what happens until a run ends, then say what it taught.
+
+    Every observe method only stores; the work (some milliseconds) is done in the observe_teaching call with which a run
+    ends. A guided run ends when the mode leaves GUIDE, a tracked run when it leaves TRACK, another motion begins, or the
+    same motion begins anew. Contacts that stay collisions to their end teach nothing.
+
+    Args:
+        robot: The arm.
+        config: Settings.
+    """
+
+    def __init__(self, robot: RobotModel, config: CaptureConfig | None = None) -> None:
+        self._robot = robot
+        self._config = config or CaptureConfig()
+        self._trajectories: dict[str, Trajectory] = {}
+        self._record = JointRecord(pre_roll=self._config.pre_roll, rate=self._config.rate, longest=self._config.longest)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the run under way and every contact; trajectories stay known."""
+        self._record.clear()
+        self._mode, self._motion_id = TeachingMode.INACTIVE, ""
+        self._began = 0.0
+        self._progress: list[tuple[float, float]] = []
+        self._touches: list[_Touch] = []
+        self._in_touch = False
+        self._now = -math.inf
+
+    def observe_state(self, state: RobotState) -> None:
+        """Store one sample of the arm; its arrays must not be written to later.
+
+        Raises:
+            InputError: A position is not finite; nothing is stored.
+        """
+        if not math.isfinite(state.time + float(np.sum(state.positions))):
+            raise InputError("joint state is not finite", got=(state.time, np.asarray(state.positions).tolist()))
+        if state.time < self._now - self._config.restart:
+            self.reset()
+        self._now = max(self._now, state.time)
+        self._record.append(state.time, state.positions)
+
+    def observe_contact(self, sample: ContactSample) -> None:
+        """Store what the contact detector said."""
+        if not sample.in_contact or sample.onset is None:
+            self._in_touch = False
+            return
+        if not self._in_touch or self._touches[-1].onset != sample.onset:
+            self._touches.append(_Touch(sample.onset, sample.time, False))
+            self._in_touch = True
+        touch = self._touches[-1]
+        touch.end = sample.time
+        touch.meant = touch.meant or sample.kind is ContactKind.TOUCH
+
+    def observe_trajectory(self, motion_id: str, trajectory: Trajectory) -> None:
+        """Remember a motion by the name under which it will be tracked."""
+        self._trajectories.pop(motion_id, None)
+        self._trajectories[motion_id] = trajectory
+        while len(self._trajectories) > REMEMBERED_MOTIONS:
+            del self._trajectories[next(iter(self._trajectories))]
+
+    def observe_teaching(self, time: float, mode: int, motion_id: str, motion_time: float) -> list[Captured]:
+        """Store what the controller does, and finish the run that this ends.
+
+        Args:
+            time: Stamp of the joint state that the controller acted on [s].
+            mode: A TeachingMode or its number.
+            motion_id: Name of the motion that is tracked; empty otherwise.
+            motion_time: Time within that motion [s].
+
+        Returns:
+            The run that ended, if one did.
+        """
+        mode = TeachingMode(mode)
+        anew = mode is TeachingMode.TRACK and bool(self._progress) and motion_time < self._progress[-1][1] - 0.1
+        captured: list[Captured] = []
+        if mode is not self._mode or motion_id != self._motion_id or anew:
+            if self._mode is TeachingMode.GUIDE and mode is not TeachingMode.GUIDE:
+                captured.append(self._finish_guided(time, mode))
+            elif self._mode is TeachingMode.TRACK:
+                captured.append(self._finish_tracked(time))
+            self._begin(time, mode, motion_id)
+        if mode is TeachingMode.TRACK:
+            self._progress.append((time, motion_time))
+        return captured
+
+    def _begin(self, time: float, mode: TeachingMode, motion_id: str) -> None:
+        if mode is TeachingMode.TRACK:
+            self._record.clear()
+        if mode in (TeachingMode.TRACK, TeachingMode.GUIDE) and not self._record.running:
+            self._record.start()
+        self._mode, self._motion_id, self._began = mode, motion_id, time
+        self._progress = []
+        self._touches = self._touches[-1:] if self._in_touch else []
+
+    def _finish_guided(self, time: float, mode: TeachingMode) -> CapturedDemonstration:
+        full = self._record.full
+        times, positions = self._record.stop()
+        if mode in (TeachingMode.STOPPED, TeachingMode.INACTIVE):
+            return CapturedDemonstration(
+                time=time, trajectory=None, reason="the arm stopped while it was guided; guide it again")
+        if full:
+            return CapturedDemonstration(
+                time=time, trajectory=None,
+                reason=f"guided for longer than {self._config.longest:.0f} s; show the motion in shorter time")
+        kept = times <= time
+        try:
+            trajectory = extract_demonstration(
+                times[kept], positions[kept], self._robot.joint_names, self._config.demonstration)
+        except InputError as error:
+            return CapturedDemonstration(time=time, trajectory=None, reason=str(error))
+        return CapturedDemonstration(time=time, trajectory=trajectory, reason="")
+
+    def _finish_tracked(self, time: float) -> CapturedCorrections:
+        times, positions = self._record.stop()
+        meant = [t for t in self._touches if t.meant and t.end >= self._began and t.onset <= time]
+        corrections: list[CorrectedSpan] = []
+        reason = ""
+        if meant:
+            try:
+                corrections, reason = self._corrections(times, positions, meant, time)
+            except InputError as error:
+                reason = str(error)
+        return CapturedCorrections(time=time, motion_id=self._motion_id, touched=bool(meant),
+                                   corrections=tuple(corrections), reason=reason)
+
+    def _corrections(self, times: Array, positions: Array, meant: list[_Touch],
+                     end: float) -> tuple[list[CorrectedSpan], str]:
+        planned = self._trajectories.get(self._motion_id)
+        if planned is None:
+            return [], f"the arm was touched during motion {self._motion_id}, whose trajectory is unknown"
+        kept = (times >= self._began) & (times <= end)
+        times = times[kept]
+        stamps, progress = np.array(self._progress).T
+        run = TrackedRun(times=times, positions=positions[kept], motion_times=np.interp(times, stamps, progress),
+                         in_contact=_touched(times, meant))
+        spans = contact_spans(run, planned, self._robot, self._config.correction)
+        needed = self._config.correction.smallest_deviation
+        corrections = [span for span in spans if span.deviation_m >= needed]
+        if corrections:
+            return corrections, ""
+        largest = max((span.deviation_m for span in spans), default=0.0)
+        return [], f"the touch changed the motion by {100 * largest:.1f} cm; a correction needs {100 * needed:.1f} cm"
+
+
+def _touched(times: Array, touches: list[_Touch]) -> NDArray[np.bool_]:
+    inside = np.zeros(len(times), dtype=bool)
+    for touch in touches:
+        inside |= (times >= touch.onset) & (times <= touch.end)
+    return inside
