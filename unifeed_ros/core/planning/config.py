@@ -1,0 +1,70 @@
+"""Settings of the planner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from unifeed_ros.core.errors import ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannerConfig:
+    """How a reward becomes a motion."""
+
+    waypoints: int = 20
+    """Number of way-points H, start and goal included."""
+    smoothness: float = 0.005
+    """Largest cost of roughness for a way-point, as a share of the reward's spread over the straight line [1].
+
+    Roughness is the mean square of acceleration over its limit, so it never costs more than this: the optimum is
+    hardly moved, and motions of equal reward are told apart.
+    """
+    starts: int = 2
+    """Number of motions that the search starts from, the straight line and given seeds first."""
+    max_iterations: int = 60
+    """Largest number of iterations from each start."""
+    tolerance: float = 2e-4
+    """Improvement, as a share of the reward's spread over the way-points, below which a search has ended [1]."""
+    time_budget: float = 2.0
+    """Longest wall-clock time of the search [s]."""
+    trust_radius: float = 0.15
+    """Largest change of a joint in the first iteration [rad]."""
+    margin: float = 0.02
+    """Share of the velocity and acceleration limits that is left unused [1]."""
+    arm_radius: float = 0.06
+    """Distance from the joints' centres to the arm's surface, for the height over the table [m]."""
+    slack: float = 1.5
+    """Duration over the shortest possible one, where no duration is asked for [1]."""
+    max_slowdown: float = 2.0
+    """Largest factor by which a motion may be slowed down to become feasible [1]."""
+    sample_rate: float = 100.0
+    """Rate of the points of the motion [Hz]."""
+    seed: int = 0
+    """Seed of the deformed starts."""
+
+    def __post_init__(self) -> None:
+        """Reject values that would only fail in the middle of a search."""
+        if self.waypoints < 5:
+            raise ConfigError("waypoints", expected=">= 5", got=self.waypoints)
+        for name in ("starts", "max_iterations"):
+            if getattr(self, name) < 1:
+                raise ConfigError(name, expected=">= 1", got=getattr(self, name))
+        for name in ("smoothness", "tolerance", "time_budget", "trust_radius", "sample_rate"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise ConfigError(name, expected="> 0", got=getattr(self, name))
+        for name, low, high in (("margin", 0.0, 0.5), ("arm_radius", 0.0, 1.0), ("slack", 1.0, 100.0),
+                                ("max_slowdown", 1.0, 100.0)):
+            if not low <= getattr(self, name) <= high:
+                raise ConfigError(name, expected=f"{low} to {high}", got=getattr(self, name))
+
+    def adjusted(self, *, waypoints: int = 0, time_budget: float = 0.0) -> PlannerConfig:
+        """Return settings with what a request asks for; zeros keep what is there.
+
+        Args:
+            waypoints: Number of way-points.
+            time_budget: Longest wall-clock time [s].
+
+        Raises:
+            ConfigError: A value that cannot be used.
+        """
+        return replace(self, waypoints=waypoints or self.waypoints, time_budget=time_budget or self.time_budget)

@@ -1,0 +1,187 @@
+"""Eq. M10 over joint way-points: variables, cost, constraints, and their derivatives."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from scipy import sparse
+
+from unifeed_ros.core.errors import PlanningError
+from unifeed_ros.core.planning.arm_points import ArmPoints
+from unifeed_ros.core.planning.check import MotionBounds
+from unifeed_ros.core.planning.config import PlannerConfig
+from unifeed_ros.core.planning.sampling import knot_maps
+from unifeed_ros.core.robot import RobotModel
+from unifeed_ros.core.types import Array
+
+_HEIGHT_MARGIN = 2e-3
+_SMALLEST_SCALE = 1e-9
+
+
+class StateReward(Protocol):
+    """A reward of single tool states with its gradient: learned, true, or made up for a test."""
+
+    def value_and_gradient(self, tool_states: Array) -> tuple[Array, Array]:
+        """Compute rewards and gradients.
+
+        Args:
+            tool_states: Tool states, shape (N, 6) [m, 1].
+
+        Returns:
+            Rewards, shape (N,), and their gradients, shape (N, 6).
+        """
+        ...
+
+
+class Evaluation(NamedTuple):
+    """Everything that one iteration needs to know at way-points Q."""
+
+    waypoints: Array
+    """Joint positions, shape (H, n) [rad]."""
+    cost: float
+    """Negated objective over the scale: reward and roughness [1]."""
+    reward_gradients: Array
+    """Gradient of the reward's part of the cost at the m free way-points, shape (m, n) [1/rad]."""
+    roughness_gradient: Array
+    """Gradient of the roughness, shape (m, n) [1/rad]."""
+    clearances: Array
+    """Heights of the arm's points over their floors at the free way-points, shape (m, P) [m]."""
+    clearance_jacobians: Array
+    """Their derivatives, shape (m, P, n) [m/rad]."""
+
+    @property
+    def shortfalls(self) -> Array:
+        """Distance of each free way-point below the floor, shape (m,) [m]."""
+        return np.maximum(-self.clearances.min(axis=1), 0.0)
+
+    @property
+    def violation(self) -> float:
+        """Largest distance below the floor [m]."""
+        return float(self.shortfalls.max())
+
+
+class PlanningProblem:
+    """Maximise the reward over way-points (paper eq. M10), less the cost of roughness.
+
+    minimise -1/scale sum_k r(x(q_k)) + smoothness sum_k mean_j (a_kj / a_max_j)^2, with q_0 the start and q_{H-1} the
+    goal, where accelerations a and velocities are those of the clamped cubic spline through the way-points. Between
+    knots its acceleration is linear and its velocity a parabola inside its Bezier control points, so that limits at
+    the knots and control points hold everywhere. Heights over the floors are the only constraints that are not linear.
+
+    Attributes:
+        count: Number of way-points H.
+        free: Indices of the way-points that may move, m of them.
+        scale: Reward's spread that the cost is divided by [reward].
+        rates: Linear map from way-points to limited rates, shape (R, H); accelerations, and control points of the velocities.
+        rate_limits: Their limits less the margin, shape (R, n).
+        roughness_hessian: Hessian of the roughness over free way-points for a joint of unit weight, shape (m, m).
+        roughness_weights: Weight of each joint in it, shape (n,).
+    """
+
+    def __init__(self, robot: RobotModel, reward: StateReward | None, start: Array, goal: Array | None, duration: float,
+                 bounds: MotionBounds, config: PlannerConfig, height_margin: float = _HEIGHT_MARGIN) -> None:
+        """Set up the linear maps and measure the reward's spread.
+
+        Args:
+            robot: The arm.
+            reward: Reward of single states; None for the smoothest motion.
+            start: Joint positions at the start, shape (n,) [rad].
+            goal: Joint positions at the end, shape (n,) [rad]; None: any.
+            duration: Time from start to end [s].
+            bounds: Limits of the motion.
+            config: Settings.
+            height_margin: Height kept above the floors at the way-points, for the spline between them [m].
+
+        Raises:
+            PlanningError: The reward is not finite.
+        """
+        self._arguments = (robot, reward, start, goal, duration, bounds, config)
+        self._height_margin = height_margin
+        self.reward, self.start, self.goal, self.bounds, self.duration = reward, start, goal, bounds, duration
+        self.count, self.joints = config.waypoints, robot.n
+        self.free = np.arange(1, self.count - (goal is not None))
+        self.points = ArmPoints(robot)
+        velocity, acceleration = knot_maps(self.count, duration)
+        half = 0.5 * duration / (self.count - 1)
+        between = velocity[:-1] + half * acceleration[:-1]  # middle control points of the velocity's parabolas
+        self.rates = np.vstack([acceleration, velocity[1:-1], between])
+        limits = [bounds.acceleration] * self.count + [bounds.velocity] * (2 * self.count - 3)
+        self.rate_limits = np.array(limits) * (1.0 - config.margin)
+        self._acceleration = acceleration
+        self.smoothness = config.smoothness if reward is not None else 1.0
+        self.roughness_weights = self.smoothness / (self.joints * bounds.acceleration**2)
+        self.roughness_hessian = 2.0 * acceleration[:, self.free].T @ acceleration[:, self.free]
+        self.scale = self._spread()
+
+    def raised(self, height: float) -> PlanningProblem:
+        """Return the problem with higher floors at the way-points.
+
+        Args:
+            height: How much higher [m].
+        """
+        return PlanningProblem(*self._arguments, height_margin=self._height_margin + height)
+
+    def complete(self, free: Array) -> Array:
+        """Add the fixed ends to free way-points.
+
+        Args:
+            free: Joint positions, shape (m, n) [rad].
+
+        Returns:
+            All way-points, shape (H, n) [rad].
+        """
+        ends = [] if self.goal is None else [self.goal[None]]
+        return np.concatenate([self.start[None], free, *ends])
+
+    def evaluate(self, waypoints: Array) -> Evaluation:
+        """Compute cost, constraints and derivatives.
+
+        Args:
+            waypoints: Joint positions, shape (H, n) [rad].
+
+        Raises:
+            PlanningError: The reward or its gradient is not finite.
+        """
+        geometry = self.points.evaluate(waypoints)
+        values, gradients = self._reward(geometry.states)
+        free = self.free
+        to_joints = np.einsum("ki,kij->kj", gradients[free], geometry.state_jacobians[free])
+        accelerations = self._acceleration @ waypoints
+        roughness = float((accelerations**2 @ self.roughness_weights).sum())
+        return Evaluation(
+            waypoints=waypoints,
+            cost=roughness - float(values.sum()) / self.scale,
+            reward_gradients=-to_joints / self.scale,
+            roughness_gradient=2.0 * self._acceleration[:, free].T @ accelerations * self.roughness_weights,
+            clearances=geometry.heights[free] - self.bounds.floors - self._height_margin,
+            clearance_jacobians=geometry.height_jacobians[free])
+
+    def rate_matrix(self) -> sparse.csc_matrix:
+        """Return the map from free way-points to rates over their limits, shape (R n, m n)."""
+        rows = sparse.diags_array(1.0 / self.rate_limits.ravel())
+        return sparse.csc_matrix(rows @ sparse.kron(self.rates[:, self.free], np.eye(self.joints)))
+
+    def rate_shares(self, waypoints: Array) -> Array:
+        """Compute rates over their limits, shape (R n,); feasible between -1 and 1."""
+        return np.asarray((self.rates @ waypoints) / self.rate_limits).ravel()
+
+    def _spread(self) -> float:
+        """Measure how much the reward changes along the straight line, or within half a radian where that is more."""
+        goal = self.start if self.goal is None else self.goal
+        line = self.start + np.linspace(0.0, 1.0, self.count)[:, None] * (goal - self.start)
+        geometry = self.points.evaluate(line)
+        values, gradients = self._reward(geometry.states)
+        slope = np.linalg.norm(np.einsum("ki,kij->kj", gradients, geometry.state_jacobians), axis=1).mean()
+        return max(float(np.ptp(values)), 0.5 * float(slope), _SMALLEST_SCALE) if self.reward is not None else 1.0
+
+    def _reward(self, states: Array) -> tuple[Array, Array]:
+        if self.reward is None:
+            return np.zeros(len(states)), np.zeros_like(states)
+        values, gradients = self.reward.value_and_gradient(states)
+        if not (np.isfinite(values).all() and np.isfinite(gradients).all()):
+            bad = int(np.argmin(np.isfinite(values) & np.isfinite(gradients).all(axis=1)))
+            raise PlanningError("the reward is not finite", expected="numbers",
+                                got=f"{values[bad]} at tool position {np.round(states[bad, :3], 3).tolist()} m",
+                                mend="train the reward again")
+        return values, gradients

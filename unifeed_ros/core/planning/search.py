@@ -1,0 +1,114 @@
+"""Searching from several starts: the best way-points so far, and when to stop looking."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from unifeed_ros.core.planning.config import PlannerConfig
+from unifeed_ros.core.planning.problem import Evaluation, PlanningProblem
+from unifeed_ros.core.planning.sqp import iterations, merit
+from unifeed_ros.core.planning.subproblem import Subproblem
+from unifeed_ros.core.types import Array
+
+Status = Literal["solved", "time_budget", "infeasible", "canceled"]
+
+_FEASIBLE = 1e-3
+"""Distance below the floor at a way-point that still counts as feasible; a margin over the floor covers it [m]."""
+
+
+class PlanProgress(NamedTuple):
+    """Where a search stands."""
+
+    iteration: int
+    """Iterations so far, over all starts."""
+    objective: float
+    """Return less roughness of the present way-points [reward]."""
+    violation: float
+    """Largest distance of the arm below the floor [m]."""
+    best: float
+    """Objective of the best feasible way-points so far, -inf before the first [reward]."""
+
+
+class Search:
+    """One search: its clock, its callbacks and its best way-points.
+
+    Attributes:
+        status: "solved", or what ended the search before that.
+        count: Iterations so far, over all starts.
+    """
+
+    def __init__(self, config: PlannerConfig, on_iteration: Callable[[PlanProgress], None] | None = None,
+                 should_stop: Callable[[], bool] | None = None) -> None:
+        """Start the clock."""
+        self._config, self._on_iteration, self._should_stop = config, on_iteration, should_stop
+        self._began = time.perf_counter()
+        self._best: Evaluation | None = None
+        self.status: Status = "solved"
+        self.count = 0
+
+    @property
+    def best(self) -> Array:
+        """The best way-points so far, feasible ones before others, shape (H, n) [rad]."""
+        assert self._best is not None, "improve comes first"
+        return self._best.waypoints
+
+    @property
+    def seconds(self) -> float:
+        """Wall-clock time since the search began [s]."""
+        return time.perf_counter() - self._began
+
+    @property
+    def ended(self) -> bool:
+        """True if the search was canceled or has used up its time; polls the caller."""
+        if self.status == "solved":
+            if self._should_stop is not None and self._should_stop():
+                self.status = "canceled"
+            elif self.seconds > self._config.time_budget:
+                self.status = "time_budget"
+        return self.status != "solved"
+
+    def improve(self, problem: PlanningProblem, starts: Iterable[Array]) -> None:
+        """Search a problem from each start until it ends; what was found for another problem is forgotten.
+
+        Args:
+            problem: What to solve.
+            starts: Way-points that keep the linear constraints, shape (H, n) each [rad].
+
+        Raises:
+            PlanningError: The reward is not finite, or a start cannot be made feasible.
+        """
+        self._best = None
+        subproblem = Subproblem(problem)
+        for start in starts:
+            present = problem.evaluate(start)
+            self._keep(present)
+            if self.ended:
+                return
+            for present in iterations(problem, subproblem, present, self._config):
+                self.count += 1
+                self._keep(present)
+                self._report(problem, present)
+                if self.ended:
+                    return
+
+    def _keep(self, present: Evaluation) -> None:
+        if self._best is None or _rank(present) < _rank(self._best):
+            self._best = present
+
+    def _report(self, problem: PlanningProblem, present: Evaluation) -> None:
+        if self._on_iteration is None or self._best is None:
+            return
+        feasible = self._best.violation <= _FEASIBLE
+        self._on_iteration(PlanProgress(
+            iteration=self.count, objective=-problem.scale * present.cost, violation=present.violation,
+            best=-problem.scale * self._best.cost if feasible else -np.inf))
+
+
+def _rank(at: Evaluation) -> tuple[bool, float]:
+    """Order evaluations: feasible ones first, by cost; then the others, by the merit function."""
+    infeasible = at.violation > _FEASIBLE
+    return infeasible, merit(at) if infeasible else at.cost

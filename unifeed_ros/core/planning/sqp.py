@@ -1,0 +1,90 @@
+"""Sequential quadratic programming on a planning problem, from one start."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from unifeed_ros.core.planning.config import PlannerConfig
+from unifeed_ros.core.planning.problem import Evaluation, PlanningProblem
+from unifeed_ros.core.planning.subproblem import Subproblem
+from unifeed_ros.core.types import Array
+
+PENALTY = 50.0
+"""Cost of a metre below the floor at one way-point, in the reward's spread [1/m]."""
+_FIRST_CURVATURE = 0.5
+_SMALLEST_RADIUS = 1e-3
+_LARGEST_RADIUS = 0.6
+
+
+def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evaluation,
+               config: PlannerConfig) -> Iterator[Evaluation]:
+    """Improve way-points step by step.
+
+    Damped BFGS curvature for each way-point, exact roughness, trust region, l1 merit function.
+
+    Args:
+        problem: What to solve.
+        subproblem: Its quadratic model.
+        present: The problem at way-points that keep the linear constraints.
+        config: Settings.
+
+    Yields:
+        The problem at the present way-points, after each quadratic programme; ends when no step is worth while.
+
+    Raises:
+        PlanningError: The reward is not finite.
+    """
+    n = problem.joints
+    blocks = np.tile(_FIRST_CURVATURE * np.eye(n), (len(problem.free), 1, 1))
+    radius, small = config.trust_radius, 0
+    enough = config.tolerance * problem.count
+    for _ in range(config.max_iterations):
+        step = subproblem.solve(present, blocks, radius, PENALTY)
+        predicted = PENALTY * float(present.shortfalls.sum() - step.shortfalls.sum()) - step.cost
+        trial = problem.evaluate(problem.complete(present.waypoints[problem.free] + step.change))
+        achieved = merit(present) - merit(trial)
+        blocks = updated_curvature(blocks, step.change, trial.reward_gradients - present.reward_gradients)
+        ratio = achieved / max(predicted, 1e-12)
+        largest = float(np.abs(step.change).max())
+        if achieved > 0 and ratio > 1e-3:
+            present = trial
+        small = small + 1 if max(predicted, achieved) < enough else 0
+        if ratio < 0.25:
+            radius = 0.4 * min(radius, largest)
+        elif ratio > 0.75 and largest > 0.9 * radius:
+            radius = min(2.0 * radius, _LARGEST_RADIUS)
+        yield present
+        if small >= 2 or radius < _SMALLEST_RADIUS:
+            return
+
+
+def merit(at: Evaluation) -> float:
+    """Compute the l1 merit function: cost and penalty for what is below the floor [1]."""
+    return at.cost + PENALTY * float(at.shortfalls.sum())
+
+
+def updated_curvature(blocks: Array, change: Array, gradient_change: Array) -> Array:
+    """Update each way-point's curvature by damped BFGS (Powell), which keeps it positive definite.
+
+    Args:
+        blocks: Curvatures, shape (m, n, n) [1/rad^2].
+        change: Changes of the way-points, shape (m, n) [rad].
+        gradient_change: Changes of their gradients, shape (m, n) [1/rad].
+
+    Returns:
+        New curvatures, shape (m, n, n) [1/rad^2].
+    """
+    curved = np.einsum("kij,kj->ki", blocks, change)
+    expected = (change * curved).sum(axis=1)
+    measured = (change * gradient_change).sum(axis=1)
+    moved = expected > 1e-10
+    expected = np.where(moved, expected, 1.0)
+    short = measured < 0.2 * expected
+    share = np.where(short, 0.8 * expected / np.where(short, expected - measured, 1.0), 1.0)[:, None]
+    damped = share * gradient_change + (1.0 - share) * curved
+    product = np.where(moved, (change * damped).sum(axis=1), 1.0)
+    updated = (blocks - curved[:, :, None] * curved[:, None, :] / expected[:, None, None]
+               + damped[:, :, None] * damped[:, None, :] / product[:, None, None])
+    return np.where(moved[:, None, None], updated, blocks)

@@ -1,0 +1,103 @@
+"""Motions that the search starts from, all within the limits of speed and acceleration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy import sparse
+
+from unifeed_ros.core.errors import PlanningError
+from unifeed_ros.core.planning.config import PlannerConfig
+from unifeed_ros.core.planning.problem import PlanningProblem
+from unifeed_ros.core.planning.qp import QPSettings, QuadraticProgram
+from unifeed_ros.core.planning.sampling import rest_to_rest
+from unifeed_ros.core.types import Array, frozen_array
+
+_DEFORMATION = 0.5
+"""Standard deviation of a joint in the middle of a deformed start, before it is made feasible [rad]."""
+_FEASIBLE_SHARE = 1.005
+"""Share of a rate limit, less the margin, that a repaired start may take for feasible [1]."""
+
+
+class StartRepair:
+    """Moves way-points as little as possible until they keep all linear limits.
+
+    minimise ||Q - Q_wanted||^2 subject to the limits of position, velocity and acceleration.
+    """
+
+    def __init__(self, problem: PlanningProblem) -> None:
+        """Lay out the quadratic programme."""
+        self._problem = problem
+        size = len(problem.free) * problem.joints
+        self._hessian = sparse.csc_matrix(sparse.eye_array(size))
+        self._rows = sparse.csc_matrix(sparse.block_array([[sparse.eye_array(size)], [problem.rate_matrix()]]))
+        self._programme = QuadraticProgram(
+            self._hessian.copy(), self._rows.copy(), QPSettings(tolerance=1e-5, max_iterations=4000))
+
+    def __call__(self, waypoints: Array) -> Array:
+        """Repair way-points.
+
+        Args:
+            waypoints: Wanted joint positions with the right ends, shape (H, n) [rad].
+
+        Returns:
+            Feasible joint positions, shape (H, n) [rad].
+
+        Raises:
+            PlanningError: No way-points keep all limits between these ends in this time.
+        """
+        problem = self._problem
+        wanted, fixed = waypoints[problem.free], problem.complete(np.zeros((len(problem.free), problem.joints)))
+        offset = problem.rate_shares(fixed)
+        shape = wanted.shape
+        lower = np.concatenate([np.broadcast_to(problem.bounds.lower, shape).ravel(), -1.0 - offset])
+        upper = np.concatenate([np.broadcast_to(problem.bounds.upper, shape).ravel(), 1.0 - offset])
+        solution = self._programme.solve(self._hessian.data, -wanted.ravel(), self._rows.data, lower, upper)
+        repaired = problem.complete(np.clip(solution.x.reshape(shape), problem.bounds.lower, problem.bounds.upper))
+        share = float(np.abs(problem.rate_shares(repaired)).max())
+        if share > _FEASIBLE_SHARE:
+            raise PlanningError("the limits of speed and acceleration allow no motion in this time",
+                                expected="at most 1 of the limits", got=f"{share:.3f}")
+        return repaired
+
+
+def straight_line(problem: PlanningProblem) -> Array:
+    """Go from start to goal on a joint-space line, speeding up and slowing down, shape (H, n) [rad]."""
+    goal = problem.start if problem.goal is None else problem.goal
+    return problem.start + rest_to_rest(problem.count)[:, None] * (goal - problem.start)
+
+
+def start_motions(problem: PlanningProblem, repair: StartRepair, seeds: Sequence[Array],
+                  config: PlannerConfig) -> Iterator[Array]:
+    """Yield the straight line, then the given seeds, then deformed lines, repaired.
+
+    Args:
+        problem: What is to be solved.
+        repair: Makes a start feasible.
+        seeds: Way-points that are likely good, shape (H, n) each [rad]; their ends are bent to the problem's.
+        config: Number of starts and the deformations' seed.
+
+    Yields:
+        Way-points, shape (H, n) [rad].
+
+    Raises:
+        ShapeError: A seed of another shape.
+        PlanningError: No way-points keep all limits.
+    """
+    line = straight_line(problem)
+    yield repair(line)
+    for seed in seeds:
+        yield repair(_with_ends(frozen_array("seed of the search", seed, line.shape), problem))
+    rng = np.random.default_rng(config.seed)
+    share = rest_to_rest(problem.count)[:, None]
+    bump = share if problem.goal is None else 4.0 * share * (1.0 - share)
+    for _ in range(config.starts - 1 - len(seeds)):
+        yield repair(line + bump * rng.normal(scale=_DEFORMATION, size=problem.joints))
+
+
+def _with_ends(waypoints: Array, problem: PlanningProblem) -> Array:
+    """Bend way-points so that they begin at the start and end at the goal."""
+    share = rest_to_rest(problem.count)[:, None]
+    bent = waypoints + (1.0 - share) * (problem.start - waypoints[0])
+    return bent if problem.goal is None else bent + share * (problem.goal - waypoints[-1])
