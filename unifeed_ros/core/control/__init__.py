@@ -1,0 +1,1 @@
+"""Shared control: reference, impedance, arbitration between robot and person, safety filter."""

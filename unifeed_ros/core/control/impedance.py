@@ -1,0 +1,82 @@
+"""Joint impedance: a spring and a damper around the reference, with the arm's own weight and inertia fed forward."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from unifeed_ros.core.control.reference import Setpoint
+from unifeed_ros.core.robot import RobotModel
+from unifeed_ros.core.types import Array
+
+
+class ImpedanceLaw:
+    """Torques of a compliant arm.
+
+    tau = M(q) s a_d + C(q, s v_d) s v_d + g(q) + s K (q_d - q) + D' (s v_d - v), with the share s of the robot and
+    D' = s D + (1 - s) c D; without g where the robot's driver adds it. Beyond the velocity limits D more of damping
+    acts on the excess; beyond the position limits K pushes back.
+
+    Args:
+        robot: The arm: model, gains, limits.
+        guide_damping: Damping c that is left when the person leads, as a part of the robot's [1].
+    """
+
+    def __init__(self, robot: RobotModel, guide_damping: float) -> None:
+        self._model = pin.Model(robot.pin_model)
+        if robot.config.compensates_gravity:
+            self._model.gravity = pin.Motion.Zero()
+        self._data = self._model.createData()
+        self.stiffness, self.damping = np.array(robot.config.stiffness), np.array(robot.config.damping)
+        self._guide_damping = guide_damping
+        self._lower, self._upper, self._fastest = robot.lower, robot.upper, robot.velocity_limits
+        self._zero = np.zeros(robot.n)
+
+    def weight(self, positions: Array) -> Array:
+        """Compute the torques that hold the arm; zero where the robot's driver adds them.
+
+        Args:
+            positions: Joint positions, shape (n,) [rad].
+
+        Returns:
+            Torques, shape (n,) [Nm].
+        """
+        return np.array(pin.computeGeneralizedGravity(self._model, self._data, positions))
+
+    def torque(self, positions: Array, velocities: Array, setpoint: Setpoint, share: float) -> Array:
+        """Compute the torques towards a setpoint.
+
+        Args:
+            positions: Measured joint positions, shape (n,) [rad].
+            velocities: Measured joint velocities, shape (n,) [rad/s].
+            setpoint: What to reach.
+            share: Share s of the robot, in [0, 1] [1]; at 0 the arm is weightless and lightly damped.
+
+        Returns:
+            Torques, shape (n,) [Nm].
+        """
+        wanted = share * setpoint.velocities
+        torque = np.array(pin.rnea(self._model, self._data, positions, wanted, share * setpoint.accelerations))
+        torque += share * self.stiffness * (setpoint.positions - positions)
+        torque += (share + (1.0 - share) * self._guide_damping) * self.damping * (wanted - velocities)
+        return self._within(torque, positions, velocities)
+
+    def soft_hold(self, positions: Array, velocities: Array, anchor: Array, part: float) -> Array:
+        """Compute the torques that hold a posture softly and brake fully.
+
+        Args:
+            positions: Measured joint positions, shape (n,) [rad].
+            velocities: Measured joint velocities, shape (n,) [rad/s].
+            anchor: Posture to hold, shape (n,) [rad].
+            part: Part of the robot's stiffness that holds [1].
+
+        Returns:
+            Torques, shape (n,) [Nm].
+        """
+        spring = part * self.stiffness * (anchor - positions)
+        return self._within(self.weight(positions) + spring - self.damping * velocities, positions, velocities)
+
+    def _within(self, torque: Array, positions: Array, velocities: Array) -> Array:
+        excess = velocities - np.minimum(np.maximum(velocities, -self._fastest), self._fastest)
+        beyond = positions - np.minimum(np.maximum(positions, self._lower), self._upper)
+        return torque - self.damping * excess - self.stiffness * beyond

@@ -1,0 +1,75 @@
+"""The last filter before the arm: whatever the layers above ask for, limits hold."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from unifeed_ros.core.control.settings import ControlConfig
+from unifeed_ros.core.robot import RobotModel
+from unifeed_ros.core.types import Array, RobotState
+
+LONGEST_TICK = 0.01
+"""Longest time between ticks that torque may change over [s]."""
+
+
+class SafetyFilter:
+    """Limits on torque and its rate, and the checks that stop the arm.
+
+    Args:
+        robot: The arm.
+        config: Settings.
+    """
+
+    def __init__(self, robot: RobotModel, config: ControlConfig) -> None:
+        self._robot, self._config = robot, config
+        self._limits = robot.torque_limits
+        self._fastest = np.maximum(robot.pin_model.velocityLimit, robot.velocity_limits)
+        self._last: Array | None = None
+
+    def fault_of(self, state: RobotState) -> str | None:
+        """Say what is wrong with a state, if anything.
+
+        Args:
+            state: Measured state.
+
+        Returns:
+            A clause for a person; None if nothing is wrong.
+        """
+        n = self._robot.n
+        if np.shape(state.positions) != (n,) or np.shape(state.velocities) != (n,):
+            return f"joint state has {np.shape(state.positions)} and {np.shape(state.velocities)} numbers, not {n} each"
+        if not np.isfinite(state.time + state.positions.sum() + state.velocities.sum()):
+            return "joint state is not finite"
+        speeds = np.abs(state.velocities)
+        if (speeds > self._fastest).any():
+            joint = int((speeds / self._fastest).argmax())
+            return (f"{self._robot.joint_names[joint]} moves at {speeds[joint]:.2f} rad/s, "
+                    f"above the arm's limit of {self._fastest[joint]:.2f}")
+        return None
+
+    @property
+    def started(self) -> bool:
+        """True once there is a last command that the next one must be close to."""
+        return self._last is not None
+
+    def start_from(self, torque: Array | None) -> None:
+        """Take a torque as the last command: what the arm itself does before the first one; None: forget it."""
+        self._last = None if torque is None else np.array(torque)
+
+    def limited(self, torque: Array, dt: float) -> Array:
+        """Limit a torque and its change since the last one.
+
+        Args:
+            torque: Wanted torques, shape (n,) [Nm]; where not finite, the last command stays.
+            dt: Time since the last command [s].
+
+        Returns:
+            Torques to send, shape (n,) [Nm].
+        """
+        last = self._last if self._last is not None else np.zeros(self._robot.n)
+        if not np.isfinite(torque.sum()):
+            torque = np.where(np.isfinite(torque), torque, last)
+        step = self._config.torque_rate * min(max(dt, 0.0), LONGEST_TICK)
+        torque = np.minimum(np.maximum(torque, last - step), last + step)
+        self._last = np.minimum(np.maximum(torque, -self._limits), self._limits)
+        return self._last
