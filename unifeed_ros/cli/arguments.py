@@ -1,0 +1,71 @@
+"""Check what the user asked for before anything moves."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from unifeed_ros.core.errors import UnifeedError
+from unifeed_ros.resources import config_names, config_path
+
+
+class UserMistake(UnifeedError):
+    """Something on the command line, or about this machine, that the user can mend; exit status 2."""
+
+
+def session_files(robot: str, task: str) -> tuple[Path, ...]:
+    """Find the parameter files of a session.
+
+    Args:
+        robot: Name of a robot in config/robots, or a YAML file.
+        task: Name of a task in config/tasks, or a YAML file.
+
+    Returns:
+        Files of the robot, the task and the session, in this order.
+
+    Raises:
+        UserMistake: An unknown name, or a file that is not there.
+    """
+    return _named("robot", robot), _named("task", task), config_path("session")
+
+
+def prepare_folder(folder: Path) -> Path:
+    """Make an output folder, or refuse one that holds a recording already.
+
+    Args:
+        folder: Wanted folder.
+
+    Returns:
+        The folder, absolute, existing and writeable.
+
+    Raises:
+        UserMistake: It cannot be made or written to.
+    """
+    folder = folder.expanduser().resolve()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".unifeed-probe"
+        probe.write_text("")
+        probe.unlink()
+    except OSError as error:
+        raise UserMistake(f"folder {folder} cannot be used", got=error.strerror or str(error),
+                          mend="give another one with --out") from error
+    if (folder / "bag").exists():
+        raise UserMistake(f"folder {folder} holds a recording already", mend="give another one with --out, or remove it")
+    return folder
+
+
+def domain() -> str:
+    """Give the ROS domain of this process."""
+    return os.environ.get("ROS_DOMAIN_ID", "0")
+
+
+def _named(kind: str, name: str) -> Path:
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml"):
+        if not path.is_file():
+            raise UserMistake(f"{kind} file {path} is missing", mend="check the path")
+        return path.resolve()
+    if name not in config_names(f"{kind}s"):
+        raise UserMistake(f"unknown {kind}", expected=" or ".join(config_names(f"{kind}s")), got=name)
+    return config_path(f"{kind}s", name)

@@ -1,0 +1,100 @@
+"""Start the nodes of a session as processes, watch them, end them all."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+
+from unifeed_ros.nodes.table import RECORDER, NodeSpec
+
+NODES_GRACE_S = 1.6
+"""Time that all nodes but the recorder have to end [s]."""
+RECORDER_GRACE_S = 1.2
+"""Time that the recorder has to end after the others [s]."""
+PR_SET_PDEATHSIG = 1
+
+
+class NodeProcesses:
+    """The processes of a session; as a context manager it leaves none behind.
+
+    Args:
+        specs: Nodes, in the order in which they start.
+        logs: Folder for one log file a node.
+    """
+
+    def __init__(self, specs: Sequence[NodeSpec], logs: Path) -> None:
+        self._specs, self._logs = specs, logs
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> NodeProcesses:
+        """Start every node."""
+        self._logs.mkdir(parents=True, exist_ok=True)
+        try:
+            for spec in self._specs:
+                self._start(spec)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """End every node."""
+        self.stop()
+
+    def dead(self) -> dict[str, int]:
+        """Give the exit status of each node that has ended."""
+        return {name: code for name, p in self._processes.items() if (code := p.poll()) is not None}
+
+    def log_tail(self, name: str, lines: int = 3) -> str:
+        """Give the last lines that a node printed."""
+        try:
+            text = (self._logs / f"{name}.log").read_text(errors="replace")
+        except OSError:
+            return ""
+        return "\n".join([line for line in text.splitlines() if line.strip()][-lines:])
+
+    def stop(self) -> None:
+        """Ask all nodes to end, the recorder last so that it has their last words, then kill what is left."""
+        self._end([n for n in self._processes if n != RECORDER], NODES_GRACE_S)
+        self._end([RECORDER] if RECORDER in self._processes else [], RECORDER_GRACE_S)
+
+    def _start(self, spec: NodeSpec) -> None:
+        command = [sys.executable, "-m", f"unifeed_ros.nodes.{spec.executable}", *spec.arguments()]
+        with (self._logs / f"{spec.executable}.log").open("wb") as log:
+            self._processes[spec.executable] = subprocess.Popen(
+                command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, start_new_session=True,
+                env=node_environment(), preexec_fn=_die_with_parent)  # noqa: PLW1509
+
+    def _end(self, names: Sequence[str], grace: float) -> None:
+        running = [self._processes[n] for n in names if self._processes[n].poll() is None]
+        for process in running:
+            process.send_signal(signal.SIGINT)
+        deadline = time.monotonic() + grace
+        for process in running:
+            try:
+                process.wait(max(0.01, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+def node_environment() -> dict[str, str]:
+    """Give the environment of a node: one thread for mathematics, traffic that stays on this machine by default."""
+    environment = dict(os.environ)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        environment.setdefault(name, "1")
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment["PYTHONUNBUFFERED"] = "1"
+    return environment
+
+
+def _die_with_parent() -> None:
+    """Ask Linux to end this process when its parent dies, so that even kill -9 leaves nothing behind."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

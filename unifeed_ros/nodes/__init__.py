@@ -1,0 +1,1 @@
+"""Thin rclpy shells: convert, call core, publish."""

@@ -1,0 +1,119 @@
+"""Turns touch into feedback: contact, demonstrations and corrections from joint states and external torques."""
+
+from __future__ import annotations
+
+import numpy as np
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from unifeed_msgs.msg import TeachingState
+from unifeed_ros.core.capture.contact import ContactConfig, ContactDetector, ContactSample
+from unifeed_ros.core.capture.feedback_capture import (
+    CaptureConfig,
+    Captured,
+    CapturedDemonstration,
+    FeedbackCapture,
+)
+from unifeed_ros.core.errors import InputError
+from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem
+from unifeed_ros.core.types import Array
+from unifeed_ros.nodes.conversions import (
+    JointOrder,
+    contact_to_msg,
+    feedback_to_msg,
+    robot_state_from_msg,
+    seconds,
+    trajectory_from_msg,
+)
+from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
+from unifeed_ros.nodes.parameters import settings
+from unifeed_ros.nodes.spin import run_node
+
+CONTACT_PERIOD = 0.01
+"""Time between two messages on `contact` while nothing changes [s]."""
+
+
+class CaptureNode(UnifeedNode):
+    """Watch the arm being touched and publish what the person showed."""
+
+    def __init__(self) -> None:
+        super().__init__("capture")
+        self._robot = self.load_robot()
+        self._context = self.load_scene().context()
+        self._frame = self._robot.config.base_frame
+        self._detector = ContactDetector(self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig))
+        self._capture = FeedbackCapture(self._robot, settings(self, "capture", CaptureConfig))
+        self._state_order = JointOrder(self._robot.joint_names)
+        self._torque_order = JointOrder(self._robot.joint_names)
+        self._velocities: Array = np.zeros(self._robot.n)
+        self._contact_sent, self._was_in_contact = 0.0, False
+        self._taken = {"demonstration": 0, "correction": 0}
+        self._contacts = self.advertise("contact")
+        self._feedback = self.advertise("feedback")
+        self.listen("joint_states", self._on_state)
+        self.listen("external_torques", self._on_torque)
+        self.listen("teaching_state", self._on_teaching)
+        self.listen("trajectory", self._on_trajectory)
+        self.say(OK, "watching")
+
+    def _on_state(self, msg: JointState) -> None:
+        try:
+            state = robot_state_from_msg(msg, self._state_order)
+            self._capture.observe_state(state)
+        except InputError as error:
+            self.say(WARN, f"joint state skipped: {error}")
+            return
+        self._velocities = state.velocities
+
+    def _on_torque(self, msg: JointState) -> None:
+        try:
+            torque = self._torque_order.pick(msg.name, msg.effort, "external torques")
+            sample = self._detector.update(seconds(msg.header.stamp), torque, self._velocities)
+        except InputError as error:
+            self.say(WARN, f"external torque skipped: {error}")
+            return
+        self._capture.observe_contact(sample)
+        self._publish_contact(sample)
+
+    def _publish_contact(self, sample: ContactSample) -> None:
+        changed = sample.in_contact != self._was_in_contact
+        if changed or not 0.0 <= sample.time - self._contact_sent < CONTACT_PERIOD:
+            self._contacts.publish(contact_to_msg(sample, sample.time, self._frame))
+            self._contact_sent, self._was_in_contact = sample.time, sample.in_contact
+
+    def _on_trajectory(self, msg: JointTrajectory) -> None:
+        try:
+            self._capture.observe_trajectory(msg.header.frame_id, trajectory_from_msg(msg, self._robot.joint_names))
+        except InputError as error:
+            self.say(WARN, f"motion {msg.header.frame_id} cannot be corrected: {error}")
+
+    def _on_teaching(self, msg: TeachingState) -> None:
+        for captured in self._capture.observe_teaching(seconds(msg.header.stamp), msg.mode, msg.motion_id, msg.motion_time):
+            for item in self._items(captured):
+                self._feedback.publish(feedback_to_msg(item, captured.time, self._frame))
+                self.say(OK, f"{item.kind} {item.id} captured")
+            if captured.reason:
+                self.say(WARN, captured.reason)
+
+    def _items(self, captured: Captured) -> list[FeedbackItem]:
+        robot = self._robot.config.name
+        if isinstance(captured, CapturedDemonstration):
+            if captured.trajectory is None:
+                return []
+            return [Demonstration(id=self._name("demonstration"), robot=robot, context=self._context,
+                                  trajectory=captured.trajectory)]
+        return [Correction(id=self._name("correction"), robot=robot, context=self._context, planned=span.planned,
+                           corrected=span.corrected, span=span.span) for span in captured.corrections]
+
+    def _name(self, kind: str) -> str:
+        self._taken[kind] += 1
+        return f"{kind}-{self._taken[kind]}"
+
+
+def main() -> None:
+    """Run the node `capture`."""
+    run_node(CaptureNode)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""Stands in for a real robot's driver: the arm in MuJoCo, published as a robot would publish itself."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from rosgraph_msgs.msg import Clock as ClockMsg
+from sensor_msgs.msg import JointState
+
+from unifeed_ros.core.errors import ConfigError, InputError
+from unifeed_ros.nodes.conversions import JointOrder, joint_state_msg, seconds, stamp
+from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
+from unifeed_ros.nodes.parameters import settings
+from unifeed_ros.nodes.spin import run_node
+from unifeed_ros.simulation.arm import SimulatedArm
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationConfig:
+    """How the simulated arm runs."""
+
+    speed: float = 1.0
+    """Simulated seconds per second."""
+    seed: int = 0
+    """Seed of sensor noise and torque bias."""
+    command_timeout: float = 0.1
+    """Simulated time without a command after which the arm holds in gravity compensation [s]."""
+    hand_timeout: float = 0.1
+    """Simulated time without a hand wrench after which the hand counts as gone [s]."""
+    largest_lag: float = 0.05
+    """Simulated time that is made up for at once when the machine was busy; more is dropped [s]."""
+
+    def __post_init__(self) -> None:
+        """Reject speeds and times that cannot be kept."""
+        if not 0.05 <= self.speed <= 20.0:
+            raise ConfigError("speed of the simulation", expected="0.05 to 20", got=self.speed)
+        if min(self.command_timeout, self.hand_timeout, self.largest_lag) <= 0.0:
+            raise ConfigError("timeouts of the simulation", expected="> 0 s")
+
+
+class SimArmNode(UnifeedNode):
+    """Step the physics by the clock, publish what the sensors say, obey torques and the hand."""
+
+    def __init__(self) -> None:
+        super().__init__("sim_arm")
+        self._robot = self.load_robot()
+        scene = self.load_scene()
+        self._config = settings(self, "simulation", SimulationConfig)
+        self._arm = SimulatedArm(self._robot, seed=self._config.seed, table_height=scene.table_height)
+        self._arm.reset(self._robot.inverse_kinematics(scene.start, scene.axis))
+        self._order = JointOrder(self._robot.joint_names)
+        self._stride = max(1, math.ceil(self._config.speed))
+        self._commanded_at = self._pushed_at = -math.inf
+        self._obeying = self._pushed = False
+        self._began: float | None = None
+        self._dropped = 0.0
+        self._latencies: deque[float] = deque(maxlen=20000)
+        self._steps = 0
+        self._connect()
+
+    def _connect(self) -> None:
+        self._states = self.advertise("joint_states")
+        self._torques = self.advertise("external_torques")
+        self._clock_topic = self.advertise("clock")
+        self.listen("joint_command", self._on_command)
+        self.listen("hand_wrench", self._on_hand)
+        self.create_timer(0.001, self._tick, clock=self.steady)
+
+    def _on_command(self, msg: JointState) -> None:
+        try:
+            torque = self._order.pick(msg.name, msg.effort, "commanded torques")
+        except InputError as error:
+            self.say(WARN, f"command refused, the arm holds: {error}")
+            return
+        self._latencies.append((self._arm.time - seconds(msg.header.stamp)) / self._config.speed)
+        self._arm.command(torque)
+        self._commanded_at, self._obeying = self._arm.time, True
+
+    def _on_hand(self, msg: WrenchStamped) -> None:
+        f, t = msg.wrench.force, msg.wrench.torque
+        wrench = np.array([f.x, f.y, f.z, t.x, t.y, t.z])
+        if np.isfinite(wrench).all():
+            self._arm.push(wrench)
+            self._pushed_at, self._pushed = self._arm.time, True
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        if self._began is None:
+            self._began = now - self._arm.time / self._config.speed
+        due = (now - self._began) * self._config.speed - self._arm.time
+        if due > self._config.largest_lag:
+            self._dropped += due - self._config.largest_lag
+            self._began += (due - self._config.largest_lag) / self._config.speed
+            due = self._config.largest_lag
+        for _ in range(int(due / 0.001)):
+            self._step()
+
+    def _step(self) -> None:
+        arm, config = self._arm, self._config
+        if self._obeying and arm.time - self._commanded_at > config.command_timeout:
+            arm.command(None)
+            self._obeying = False
+        if self._pushed and arm.time - self._pushed_at > config.hand_timeout:
+            arm.push(np.zeros(6))
+            self._pushed = False
+        arm.step()
+        self._steps += 1
+        if self._steps % self._stride == 0:
+            self._publish()
+        if self._steps % (10 * self._stride) == 0:
+            self._clock_topic.publish(ClockMsg(clock=stamp(arm.time)))
+
+    def _publish(self) -> None:
+        state = self._arm.state()
+        names = self._robot.joint_names
+        self._states.publish(joint_state_msg(state.time, names, position=state.positions, velocity=state.velocities))
+        self._torques.publish(joint_state_msg(state.time, names, effort=self._arm.external_torque()))
+
+    def refresh_status(self) -> None:
+        """Say whether commands come, and how late they are."""
+        latencies = np.array(self._latencies) if self._latencies else np.array([np.nan])
+        message = "obeys joint_command" if self._obeying else "holds in gravity compensation: no command"
+        self.say(OK, message, simulated_s=f"{self._arm.time:.3f}", dropped_s=f"{self._dropped:.3f}",
+                 latency_p50_ms=f"{1e3 * np.percentile(latencies, 50):.3f}",
+                 latency_p99_ms=f"{1e3 * np.percentile(latencies, 99):.3f}", latency_max_ms=f"{1e3 * latencies.max():.3f}")
+
+
+def main() -> None:
+    """Run the node `sim_arm`."""
+    run_node(SimArmNode)
+
+
+if __name__ == "__main__":
+    main()
