@@ -1,0 +1,32 @@
+# Two commands: `make demo` shows a robot being taught, `make test` runs the tests. Each sets up what it needs.
+# DEMO_ARGS, TEST_ARGS and BENCH_ARGS are handed on: make demo DEMO_ARGS="--robot ur10 --seed 3"
+
+PYTHON ?= python3
+BIN := .venv/bin
+
+# One thread a process: several share the cores, and torch with more threads than free cores is far slower.
+export OMP_NUM_THREADS := 1
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+
+.PHONY: setup demo test lint bench clean
+
+setup:
+	@command -v $(PYTHON) > /dev/null || { echo "setup: no $(PYTHON): sudo apt install python3" >&2; exit 2; }
+	@$(PYTHON) scripts/setup.py
+
+demo: setup
+	$(BIN)/unifeed demo --out out/demo $(DEMO_ARGS)
+
+test: setup
+	$(BIN)/python -m pytest --durations=10 $(TEST_ARGS)
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: setup
+	$(BIN)/unifeed bench lesson $(BENCH_ARGS)
+
+clean:
+	rm -rf .venv build install log out .pytest_cache .ruff_cache .mypy_cache .hypothesis *.egg-info
+	find unifeed_ros test scripts launch -name __pycache__ -type d -prune -exec rm -rf {} +

