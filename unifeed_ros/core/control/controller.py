@@ -61,7 +61,7 @@ class SharedController:
         self.robot, self.config = robot, config or ControlConfig()
         self.mode = TeachingMode.INACTIVE
         """What the controller does."""
-        self._law = ImpedanceLaw(robot, self.config.guide_damping)
+        self._law = ImpedanceLaw(robot)
         self._arbitration = Arbitration(robot.config.contact_thresholds, self.config)
         self._safety = SafetyFilter(robot, self.config)
         self._reference: Reference | None = None
@@ -83,7 +83,7 @@ class SharedController:
             InputError: The state cannot be used.
         """
         start = self._begin(state)
-        self._reference = Reference(start, None, self.robot.velocity_limits, self.config)
+        self._reference = Reference(start, None, self.robot, self.config)
         self._enter(TeachingMode.HOLD, "holding; push to move the arm")
 
     def guide(self, state: RobotState) -> None:
@@ -96,7 +96,7 @@ class SharedController:
             InputError: The state cannot be used.
         """
         start = self._begin(state)
-        self._reference = Reference(start, None, self.robot.velocity_limits, self.config)
+        self._reference = Reference(start, None, self.robot, self.config)
         self._enter(TeachingMode.GUIDE, "weightless; guide the arm by hand")
 
     def track(self, trajectory: Trajectory, motion_id: str, state: RobotState) -> None:
@@ -122,7 +122,7 @@ class SharedController:
             raise InputError("the motion starts elsewhere", expected=f"within {self.config.start_tolerance} rad of the arm",
                              got=f"{gap:.3f} rad away", mend="move to its start first")
         self._motion = SampledMotion(trajectory)
-        self._reference = Reference(start, self._motion, robot.velocity_limits, self.config)
+        self._reference = Reference(start, self._motion, robot, self.config)
         self._enter(TeachingMode.TRACK, f"carrying out {motion_id}")
         self._motion_id = motion_id
 
@@ -230,9 +230,11 @@ class SharedController:
         if self.mode is TeachingMode.STOPPED:
             return self._stopped_torque(state)
         assert self._reference is not None
-        share = 0.0 if self.mode is TeachingMode.GUIDE else self._arbitration.authority
+        guided = self.mode is TeachingMode.GUIDE
+        share = 0.0 if guided else self._arbitration.authority
+        damping = self.config.guide_damping if guided else self.config.yield_damping
         setpoint = self._reference.step(state.positions, share, dt)
-        return self._law.torque(state.positions, state.velocities, setpoint, share)
+        return self._law.torque(state.positions, state.velocities, setpoint, share, damping)
 
     def _stopped_torque(self, state: RobotState) -> Array:
         slack = self.config.stop_slack

@@ -19,16 +19,14 @@ class ImpedanceLaw:
 
     Args:
         robot: The arm: model, gains, limits.
-        guide_damping: Damping c that is left when the person leads, as a part of the robot's [1].
     """
 
-    def __init__(self, robot: RobotModel, guide_damping: float) -> None:
+    def __init__(self, robot: RobotModel) -> None:
         self._model = pin.Model(robot.pin_model)
         if robot.config.compensates_gravity:
             self._model.gravity = pin.Motion.Zero()
         self._data = self._model.createData()
         self.stiffness, self.damping = np.array(robot.config.stiffness), np.array(robot.config.damping)
-        self._guide_damping = guide_damping
         self._lower, self._upper, self._fastest = robot.lower, robot.upper, robot.velocity_limits
         self._zero = np.zeros(robot.n)
 
@@ -43,7 +41,8 @@ class ImpedanceLaw:
         """
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, positions))
 
-    def torque(self, positions: Array, velocities: Array, setpoint: Setpoint, share: float) -> Array:
+    def torque(self, positions: Array, velocities: Array, setpoint: Setpoint, share: float,
+               free_damping: float) -> Array:
         """Compute the torques towards a setpoint.
 
         Args:
@@ -51,6 +50,7 @@ class ImpedanceLaw:
             velocities: Measured joint velocities, shape (n,) [rad/s].
             setpoint: What to reach.
             share: Share s of the robot, in [0, 1] [1]; at 0 the arm is weightless and lightly damped.
+            free_damping: Damping c that is left when the robot has no share, as a part of the robot's [1].
 
         Returns:
             Torques, shape (n,) [Nm].
@@ -58,7 +58,7 @@ class ImpedanceLaw:
         wanted = share * setpoint.velocities
         torque = np.array(pin.rnea(self._model, self._data, positions, wanted, share * setpoint.accelerations))
         torque += share * self.stiffness * (setpoint.positions - positions)
-        torque += (share + (1.0 - share) * self._guide_damping) * self.damping * (wanted - velocities)
+        torque += (share + (1.0 - share) * free_damping) * self.damping * (wanted - velocities)
         return self._within(torque, positions, velocities)
 
     def soft_hold(self, positions: Array, velocities: Array, anchor: Array, part: float) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 
 from unifeed_ros.core.control.settings import ControlConfig
 from unifeed_ros.core.errors import InputError
+from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, Trajectory
 
 GRID = 0.002
@@ -25,8 +26,10 @@ RATE_TIME = 0.1
 """Time constant with which the rate of motion time changes [s]."""
 FOLLOW_GAIN = 20.0
 """Rate at which the reference comes to the arm while the person leads [1/s]."""
-RETURN_SPEED = 0.7
-"""Largest speed of the way back to the motion, as a part of the joints' limits [1]."""
+RETURN_PART = 0.7
+"""Largest speed and acceleration of the way back to the motion, as a part of the joints' limits [1]."""
+WAITING_OFFSET = 0.3
+"""Distance of a joint from the motion at which motion time runs at half its rate, to wait for the arm [rad]."""
 
 
 class Setpoint(NamedTuple):
@@ -113,23 +116,23 @@ def _hermite(times: Array, positions: Array, velocities: Array, grid: Array) -> 
 class Reference:
     """A motion, or a posture to hold, that gives way to the person and takes the arm back without a jump.
 
-    Position = motion(s) + offset. While the robot leads, s runs with time and the offset returns to zero like a
-    critically damped spring. While the person leads, s runs to the nearest point of what remains of the motion, never
-    back, and the offset follows the arm. Both blend with the robot's share, so the position never jumps.
+    Position = motion(s) + offset. While the robot leads, s runs with time, slower while the offset is large, and the
+    offset returns to zero like a critically damped spring with limited speed and acceleration. While the person leads, s
+    runs to the nearest point of what remains of the motion, never back, and the offset follows the arm. Both blend with
+    the robot's share, so the position never jumps.
 
     Args:
         start: Where the arm is, shape (n,) [rad].
         motion: Motion to carry out; None to hold where the arm is, or where the person leaves it.
-        velocity_limits: Largest joint speeds, shape (n,) [rad/s].
+        robot: The arm, for its limits.
         config: Settings.
     """
 
-    def __init__(self, start: Array, motion: SampledMotion | None, velocity_limits: Sequence[float] | Array,
-                 config: ControlConfig) -> None:
+    def __init__(self, start: Array, motion: SampledMotion | None, robot: RobotModel, config: ControlConfig) -> None:
         self._motion = motion
         self._zero = np.zeros(len(start))
         self._anchor = Setpoint(np.array(start), self._zero, self._zero)
-        self._return_limits = RETURN_SPEED * np.array(velocity_limits)
+        self._fastest, self._sharpest = RETURN_PART * robot.velocity_limits, RETURN_PART * robot.acceleration_limits
         self._frequency = 6.0 / config.rejoin_time
         self.time = 0.0
         """Time within the motion [s]."""
@@ -158,17 +161,18 @@ class Reference:
         """
         rate_change = self._advance(positions, authority, dt) if self._motion is not None else 0.0
         planned = self._anchor if self._motion is None else self._motion.at(self.time)
-        self._bend(positions - planned.positions, authority, dt)
+        acceleration = self._bend(positions - planned.positions, authority, dt)
         moving = self._motion is not None and self.time < self._motion.duration
         rate = self._rate if moving else 0.0
         self.setpoint = Setpoint(
             planned.positions + self.offset, rate * planned.velocities + self._offset_velocity,
-            rate * rate * planned.accelerations + rate_change * planned.velocities if moving else self._zero)
+            acceleration + (rate * rate * planned.accelerations + rate_change * planned.velocities if moving else 0.0))
         return self.setpoint
 
     def _advance(self, positions: Array, authority: float, dt: float) -> float:
         assert self._motion is not None
-        rate = authority
+        distance = float(np.abs(self.offset).max()) / WAITING_OFFSET
+        rate = authority / (1.0 + distance * distance)
         if authority < 0.99:
             ahead = self._motion.nearest(positions, self.time) - self.time
             rate += (1.0 - authority) * min(FASTEST_RATE, SEARCH_GAIN * ahead)
@@ -177,15 +181,17 @@ class Reference:
         self.time = min(self._motion.duration, self.time + self._rate * dt)
         return change
 
-    def _bend(self, gap: Array, authority: float, dt: float) -> None:
+    def _bend(self, gap: Array, authority: float, dt: float) -> Array:
         """Let the offset follow the arm as far as the person leads, and return as far as the robot does."""
         self.offset += (gap - self.offset) * min(1.0, (1.0 - authority) * FOLLOW_GAIN * dt)
-        if self._motion is None:
-            return
-        w, velocity = self._frequency, self._offset_velocity
-        velocity = velocity - (authority * w * w * self.offset + 2.0 * w * velocity) * dt
-        self._offset_velocity = np.minimum(np.maximum(velocity, -self._return_limits), self._return_limits)
+        if self._motion is None or dt == 0.0:
+            return self._zero
+        w, before = self._frequency, self._offset_velocity
+        pull = -authority * w * w * self.offset - 2.0 * w * before
+        velocity = before + np.minimum(np.maximum(pull, -self._sharpest), self._sharpest) * dt
+        self._offset_velocity = np.minimum(np.maximum(velocity, -self._fastest), self._fastest)
         self.offset += self._offset_velocity * dt
+        return (self._offset_velocity - before) / dt
 
 
 def require_motion(trajectory: Trajectory, joint_names: Sequence[str], lower: Array, upper: Array,
