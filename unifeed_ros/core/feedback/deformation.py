@@ -113,3 +113,26 @@ def deform_tool_states(states: Array, position_sizes: ArrayLike, axis_sizes: Arr
     axes = alternatives[..., 3:]
     alternatives[..., 3:] = axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-9)
     return alternatives
+
+
+def delay(states: Array, sizes: ArrayLike, rng: np.random.Generator, *, ends: Ends = "fixed") -> Array:
+    """Draw alternatives along the same path that fall behind (paper eq. M1, of the progress in time).
+
+    Progress, 0 at the start and 1 at the end, is deformed like a coordinate, always towards later, and kept from
+    running backwards, so that an alternative waits where it would have turned round. With a free end, some never
+    arrive. Only delays are drawn because the shown motion could have been slower, but perhaps not faster: an
+    alternative that nobody could choose says nothing.
+
+    Args:
+        states: States along the motion, evenly spaced in time, shape (H, D).
+        sizes: Root-mean-square delay of the middle for each alternative, shape (K,) [share of the whole motion].
+        rng: Source of randomness.
+        ends: Whether every alternative ends where the motion does.
+
+    Returns:
+        Alternatives, shape (K, H, D).
+    """
+    progress = np.linspace(0.0, 1.0, len(states))
+    shifts = sample_deformations(len(states), np.asarray(sizes, dtype=np.float64)[:, None], rng, ends=ends)[..., 0]
+    delayed = np.maximum.accumulate(np.clip(progress - np.abs(shifts), 0.0, 1.0), axis=1)
+    return np.stack([np.interp(delayed, progress, column) for column in states.T], axis=-1)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from unifeed_ros.core.errors import ConfigError, TrainingError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
-from unifeed_ros.core.feedback.deformation import Ends, deform_tool_states
+from unifeed_ros.core.feedback.deformation import Ends, deform_tool_states, delay
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem
 from unifeed_ros.core.reward.features import input_map, input_names
 from unifeed_ros.core.robot import RobotModel
@@ -30,17 +30,22 @@ class AlternativesConfig:
     """Sizes of the tilt of the tool's axis, one drawn for each alternative that tilts [rad]."""
     axis_share: float = 0.3
     """Share of alternatives that tilt the axis, half of them without moving the tool: what matters must show alone."""
+    delay_sizes: Sequence[float] = (0.05, 0.1, 0.2)
+    """Sizes of the delay, one drawn for each alternative that is delayed [share of the whole motion]."""
+    delay_share: float = 0.3
+    """Share of alternatives that follow the shown path but fall behind: without them the reward peaks somewhere on
+    the path, and the planner waits there."""
     free_end_share: float = 0.5
     """Share of a demonstration's alternatives whose end moves too, so that the goal itself is learned."""
 
     def __post_init__(self) -> None:
         """Reject sizes and shares that mean nothing."""
-        for name in ("position_sizes", "axis_sizes"):
+        for name in ("position_sizes", "axis_sizes", "delay_sizes"):
             sizes = tuple(float(s) for s in getattr(self, name))
             if not sizes or not all(0.0 < s < 10.0 for s in sizes):
                 raise ConfigError(name, expected="sizes above 0 and below 10", got=sizes)
             object.__setattr__(self, name, sizes)
-        for name in ("axis_share", "free_end_share"):
+        for name in ("axis_share", "delay_share", "free_end_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ConfigError(name, expected="0 to 1", got=getattr(self, name))
 
@@ -144,16 +149,21 @@ class _Filler:
         return (states @ matrix + offset).astype(np.float32)
 
     def _vary(self, trajectory: Trajectory, context: Context, count: int, free_share: float) -> Inputs:
-        rng, config, states = self._rng, self._config, self._states(trajectory)
-        free = round(free_share * count)
+        states, free = self._states(trajectory), round(free_share * count)
+        parts: list[tuple[Ends, int]] = [("free", free), ("fixed", count - free)]
+        return self._inputs(np.concatenate([self._draw(states, part, ends) for ends, part in parts]), context)
+
+    def _draw(self, states: Array, count: int, ends: Ends) -> Array:
+        rng, config = self._rng, self._config
+        delayed = round(config.delay_share * count)
+        count -= delayed
         tilts = rng.random(count) < config.axis_share
         moves = ~tilts | (rng.random(count) < 0.5)
         position_sizes = np.where(moves, rng.choice(config.position_sizes, count), 0.0)
         axis_sizes = np.where(tilts, rng.choice(config.axis_sizes, count), 0.0)
-        parts: list[tuple[Ends, slice]] = [("free", slice(0, free)), ("fixed", slice(free, count))]
-        return self._inputs(np.concatenate([
-            deform_tool_states(states, position_sizes[part], axis_sizes[part], rng, ends=ends)
-            for ends, part in parts]), context)
+        return np.concatenate([
+            delay(states, rng.choice(config.delay_sizes, delayed), rng, ends=ends),
+            deform_tool_states(states, position_sizes, axis_sizes, rng, ends=ends)])
 
     def _stack(self, alternatives: list[Inputs], count: int) -> Inputs:
         if alternatives:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,9 +40,9 @@ class RewardEnsemble:
     """Names of the networks' inputs, in order."""
     layer_sizes: tuple[int, ...]
     """Widths from the input to the output, for example (9, 64, 64, 1)."""
-    weights: tuple[Weights, ...]
+    weights: tuple[Weights, ...] = field(repr=False)
     """Matrices of each layer, shape (m, in, out)."""
-    biases: tuple[Weights, ...]
+    biases: tuple[Weights, ...] = field(repr=False)
     """Biases of each layer, shape (m, out)."""
     feedback_ids: tuple[str, ...] = ()
     """Names of the feedback items that it was learned from."""

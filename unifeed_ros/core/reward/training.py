@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,8 +14,9 @@ from torch import Tensor
 from unifeed_ros.core.errors import ConfigError, TrainingError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.reward.buffer import AlternativesConfig, RankingsBuffer, build_buffer
-from unifeed_ros.core.reward.ensemble import LEAK, RewardEnsemble
-from unifeed_ros.core.reward.losses import LossTerms, correction_loss, demonstration_loss, preference_loss
+from unifeed_ros.core.reward.ensemble import RewardEnsemble
+from unifeed_ros.core.reward.losses import LossTerms
+from unifeed_ros.core.reward.networks import Comparer, Networks
 from unifeed_ros.core.robot import RobotModel
 
 
@@ -116,7 +116,7 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
     buffer = _build(dataset, robot, config, rng)
     sizes = (len(buffer.inputs), *config.hidden, 1)
     with _one_thread():
-        networks = _Networks(sizes, config.members, rng)
+        networks = Networks(sizes, config.members, rng)
         warm = config.warm_steps > 0 and previous is not None and networks.load(previous, buffer.inputs)
         steps = config.warm_steps if warm else config.steps
         _optimise(networks, buffer, config, steps, config.warm_learning_rate if warm else config.learning_rate,
@@ -134,99 +134,10 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         loss_preferences=_mean(terms.preferences, len(buffer.better)))
 
 
-class _Networks:
-    """The members' weights, one tensor a layer, and their joint forward pass."""
-
-    def __init__(self, sizes: Sequence[int], members: int, rng: np.random.Generator) -> None:
-        self._sizes, self._rng = tuple(sizes), rng
-        layers = list(itertools.pairwise(sizes))
-        self.weights = [torch.zeros(members, i, o) for i, o in layers]
-        self.biases = [torch.zeros(members, 1, o) for _, o in layers]
-        for member in range(members):
-            self.restart(member)
-        for parameter in self.parameters:
-            parameter.requires_grad_(True)
-
-    @property
-    def parameters(self) -> list[Tensor]:
-        return [*self.weights, *self.biases]
-
-    def restart(self, member: int) -> None:
-        """Draw a member's weights anew (Glorot's uniform rule, biases zero)."""
-        with torch.no_grad():
-            for weight, bias in zip(self.weights, self.biases, strict=True):
-                bound = np.sqrt(6.0 / (weight.shape[1] + weight.shape[2]))
-                weight[member] = torch.from_numpy(self._rng.uniform(-bound, bound, weight.shape[1:]).astype(np.float32))
-                bias[member] = 0.0
-
-    def load(self, ensemble: RewardEnsemble, inputs: tuple[str, ...]) -> bool:
-        """Take over the weights of an ensemble of the same shape and inputs; says whether it could."""
-        if (ensemble.layer_sizes, ensemble.inputs, ensemble.members) != (self._sizes, inputs, len(self.weights[0])):
-            return False
-        with torch.no_grad():
-            for mine, theirs in zip(self.weights, ensemble.weights, strict=True):
-                mine.copy_(torch.from_numpy(theirs.copy()))
-            for mine, theirs in zip(self.biases, ensemble.biases, strict=True):
-                mine.copy_(torch.from_numpy(theirs[:, None].copy()))
-        return True
-
-    def rewards(self, motions: Tensor) -> Tensor:
-        """Rewards (m, T, H) of motions (m, T, H, I)."""
-        members, count, states, width = motions.shape
-        hidden = motions.reshape(members, count * states, width)
-        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            hidden = torch.baddbmm(bias, hidden, weight)
-            if layer < len(self.weights) - 1:
-                hidden = torch.nn.functional.leaky_relu(hidden, LEAK)
-        return torch.tanh(hidden).reshape(members, count, states)
-
-
-class _Comparer:
-    """Puts shown motions and alternatives through the networks once and compares their returns."""
-
-    def __init__(self, networks: _Networks, buffer: RankingsBuffer) -> None:
-        self._networks, self._buffer = networks, buffer
-        members = len(networks.weights[0])
-        self.shown = torch.from_numpy(buffer.shown).expand(members, *buffer.shown.shape)
-        self._demonstrations = torch.from_numpy(buffer.demonstration_alternatives)
-        self._corrections = torch.from_numpy(buffer.correction_alternatives)
-        self._members = torch.arange(members)[:, None, None]
-
-    def draw(self, count: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-        """For each member, some alternatives of each demonstration (m, D, K, H, I) and each correction."""
-        return self._pick(self._demonstrations, count, rng), self._pick(self._corrections, count, rng)
-
-    def all_alternatives(self) -> tuple[Tensor, Tensor]:
-        members = len(self.shown)
-        return (self._demonstrations.expand(members, *self._demonstrations.shape),
-                self._corrections.expand(members, *self._corrections.shape))
-
-    def returns(self, alternatives: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns of the shown motions (m, A), of demonstrations' (m, D, K) and of corrections' alternatives."""
-        motions = torch.cat([self.shown, *(a.flatten(1, 2) for a in alternatives)], dim=1)
-        returns = self._networks.rewards(motions).sum(dim=-1)
-        counts = [self.shown.shape[1], *(a.shape[1] * a.shape[2] for a in alternatives)]
-        shown, demonstrations, corrections = returns.split(counts, dim=1)
-        return shown, demonstrations.reshape(alternatives[0].shape[:3]), corrections.reshape(alternatives[1].shape[:3])
-
-    def losses(self, alternatives: tuple[Tensor, Tensor]) -> LossTerms:
-        shown, demonstrations, corrections = self.returns(alternatives)
-        buffer = self._buffer
-        return LossTerms(
-            demonstrations=demonstration_loss(shown[:, buffer.demonstrated], demonstrations),
-            corrections=correction_loss(shown[:, buffer.corrected], shown[:, buffer.planned], corrections),
-            preferences=preference_loss(shown[:, buffer.better], shown[:, buffer.worse]))
-
-    def _pick(self, alternatives: Tensor, count: int, rng: np.random.Generator) -> Tensor:
-        groups, available = alternatives.shape[:2]
-        drawn = torch.from_numpy(rng.integers(available, size=(len(self.shown), groups, count)))
-        return alternatives[torch.arange(groups)[:, None], drawn]
-
-
-def _optimise(networks: _Networks, buffer: RankingsBuffer, config: TrainingConfig, steps: int, learning_rate: float,
+def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig, steps: int, learning_rate: float,
               rng: np.random.Generator, on_progress: Callable[[float], None] | None) -> None:
     """Minimise eq. M9 with Adam under a cosine schedule, restarting members that die early."""
-    comparer = _Comparer(networks, buffer)
+    comparer = Comparer(networks, buffer)
     weights = (config.demonstration_comparisons, config.correction_comparisons, config.preference_comparisons)
     counts = (len(buffer.demonstrated), 2 * len(buffer.corrected), len(buffer.better))
     total = sum(w * c for w, c in zip(weights, counts, strict=True))
@@ -239,30 +150,23 @@ def _optimise(networks: _Networks, buffer: RankingsBuffer, config: TrainingConfi
         entropy = (weights[0] * terms.demonstrations + weights[1] * terms.corrections + weights[2] * terms.preferences)
         penalty = torch.stack([w.square().sum() for w in networks.weights]).sum()
         adam.zero_grad(set_to_none=True)
-        (entropy.sum() / total + config.weight_penalty * penalty).backward()
+        torch.autograd.backward(entropy.sum() / total + config.weight_penalty * penalty)
         adam.step()
         if step in (steps // 10, steps // 4):
-            for member in _dead_members(networks, comparer):
+            for member in networks.dead_members(comparer.shown):
                 networks.restart(member)
                 for state in adam.state.values():
                     state["exp_avg"][member] = state["exp_avg_sq"][member] = 0.0
         if on_progress is not None and (step + 1) % max(1, steps // 20) == 0:
             on_progress((step + 1) / steps)
-    if dead := _dead_members(networks, comparer):
+    if dead := networks.dead_members(comparer.shown):
         raise TrainingError(f"training left {len(dead)} of {config.members} members dead or diverged",
                             mend="lower the learning rate, or train again with another seed")
 
 
-def _dead_members(networks: _Networks, comparer: _Comparer) -> list[int]:
-    """Members that reward all shown states alike, or whose rewards are not numbers."""
-    with torch.no_grad():
-        rewards = networks.rewards(comparer.shown).flatten(1)
-    return [member for member, spread in enumerate(rewards.std(dim=1).tolist()) if not spread > 1e-4]
-
-
-def _evaluate(networks: _Networks, fresh: RankingsBuffer) -> tuple[LossTerms, float]:
+def _evaluate(networks: Networks, fresh: RankingsBuffer) -> tuple[LossTerms, float]:
     """Losses on fresh alternatives, and the share of comparisons that the members' mean decides rightly."""
-    comparer = _Comparer(networks, fresh)
+    comparer = Comparer(networks, fresh)
     with torch.no_grad():
         alternatives = comparer.all_alternatives()
         terms = comparer.losses(alternatives)
