@@ -17,7 +17,7 @@ class QPSettings(NamedTuple):
 
     tolerance: float = 1e-4
     """Absolute and relative tolerance of its residuals, in the rows' units."""
-    max_iterations: int = 1000
+    max_iterations: int = 400
     """Largest number of its iterations; what is there then is used if it is finite."""
 
 

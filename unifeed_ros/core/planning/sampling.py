@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from unifeed_ros.core.types import Array, Trajectory
 
-_NEGLIGIBLE = 1e-3
+_NEGLIGIBLE = 1e-6
 """Share of the largest entry below which an entry of a knot map is dropped: they decay by 0.27 a knot."""
 
 
