@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -77,7 +78,7 @@ class RecordedTopic:
 
     def qos_text(self) -> str:
         """Give the profiles as the YAML text that a channel carries."""
-        return yaml.safe_dump([q.mapping() for q in self.qos], sort_keys=False)
+        return str(yaml.safe_dump([q.mapping() for q in self.qos], sort_keys=False))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +148,7 @@ def describe_topic(topic: RecordedTopic) -> dict[str, Any]:
 
 def to_text(metadata: Mapping[str, Any]) -> str:
     """Write metadata as the YAML text of the MCAP record named "rosbag2"."""
-    return yaml.dump(dict(metadata), Dumper=_Dumper, sort_keys=False)
+    return _dump(metadata)
 
 
 def write(folder: Path, metadata: Mapping[str, Any]) -> None:
@@ -156,7 +157,7 @@ def write(folder: Path, metadata: Mapping[str, Any]) -> None:
     Raises:
         RecordingError: The folder cannot be written.
     """
-    text = yaml.dump({ROOT: dict(metadata)}, Dumper=_Dumper, sort_keys=False)
+    text = _dump({ROOT: dict(metadata)})
     try:
         handle, temporary = tempfile.mkstemp(dir=folder, prefix=".metadata-")
         try:
@@ -220,8 +221,8 @@ def _file_entry(file: FileSpan) -> dict[str, Any]:
             "duration": {"nanoseconds": end - start}, "message_count": file.messages}
 
 
-class _Dumper(yaml.SafeDumper):
-    """Write every value out: rosbag2's reader is not promised to know YAML's references."""
 
-    def ignore_aliases(self, data: Any) -> bool:  # noqa: ANN401
-        return True
+def _dump(values: Mapping[str, Any]) -> str:
+    """Write every value out: rosbag2's reader is not promised to know YAML's references."""
+    fresh = json.loads(json.dumps(values))
+    return str(yaml.safe_dump(fresh, sort_keys=False))
