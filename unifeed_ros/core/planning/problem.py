@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy import sparse
 
 from unifeed_ros.core.errors import PlanningError
 from unifeed_ros.core.planning.arm_points import ArmPoints
@@ -157,14 +156,9 @@ class PlanningProblem:
             clearances=geometry.heights[free] - self.bounds.floors - self._height_margin,
             clearance_jacobians=geometry.height_jacobians[free])
 
-    def rate_matrix(self) -> sparse.csc_matrix:
-        """Return the map from free way-points to rates over their limits, shape (R n, m n)."""
-        rows = sparse.diags_array(1.0 / self.rate_limits.ravel())
-        return sparse.csc_matrix(rows @ sparse.kron(self.rates[:, self.free], np.eye(self.joints)))
-
     def rate_shares(self, waypoints: Array) -> Array:
-        """Compute rates over their limits, shape (R n,); feasible between -1 and 1."""
-        return np.asarray((self.rates @ waypoints) / self.rate_limits).ravel()
+        """Compute rates over their limits, shape (R, n); feasible between -1 and 1."""
+        return np.asarray((self.rates @ waypoints) / self.rate_limits)
 
     def _spread(self) -> float:
         """Measure how much the reward changes along the straight line, or within half a radian where that is more."""

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy import sparse
 
 from unifeed_ros.core.errors import PlanningError
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.problem import PlanningProblem
-from unifeed_ros.core.planning.qp import QPSettings, QuadraticProgram
+from unifeed_ros.core.planning.qp import WaypointQP, WaypointSolver
 from unifeed_ros.core.planning.sampling import rest_to_rest
 from unifeed_ros.core.types import Array, frozen_array
 
@@ -27,13 +26,10 @@ class StartRepair:
     """
 
     def __init__(self, problem: PlanningProblem) -> None:
-        """Lay out the quadratic programme."""
+        """Set up the quadratic programme."""
         self._problem = problem
-        size = len(problem.free) * problem.joints
-        self._hessian = sparse.csc_matrix(sparse.eye_array(size))
-        self._rows = sparse.csc_matrix(sparse.block_array([[sparse.eye_array(size)], [problem.rate_matrix()]]))
-        self._programme = QuadraticProgram(
-            self._hessian.copy(), self._rows.copy(), QPSettings(tolerance=1e-5, max_iterations=4000))
+        m, n = len(problem.free), problem.joints
+        self._solver = WaypointSolver(problem.rates[:, problem.free], problem.rate_limits, np.zeros((m, m)), np.zeros(n))
 
     def __call__(self, waypoints: Array) -> Array:
         """Repair way-points.
@@ -48,13 +44,14 @@ class StartRepair:
             PlanningError: No way-points keep all limits between these ends in this time.
         """
         problem = self._problem
-        wanted, fixed = waypoints[problem.free], problem.complete(np.zeros((len(problem.free), problem.joints)))
-        offset = problem.rate_shares(fixed)
-        shape = wanted.shape
-        lower = np.concatenate([np.broadcast_to(problem.bounds.lower, shape).ravel(), -1.0 - offset])
-        upper = np.concatenate([np.broadcast_to(problem.bounds.upper, shape).ravel(), 1.0 - offset])
-        solution = self._programme.solve(self._hessian.data, -wanted.ravel(), self._rows.data, lower, upper)
-        repaired = problem.complete(np.clip(solution.x.reshape(shape), problem.bounds.lower, problem.bounds.upper))
+        m, n = len(problem.free), problem.joints
+        wanted = waypoints[problem.free]
+        inside = np.clip(wanted, problem.bounds.lower, problem.bounds.upper)
+        change = self._solver.solve(WaypointQP(
+            gradient=inside - wanted, blocks=np.tile(np.eye(n), (m, 1, 1)), lower=problem.bounds.lower - inside,
+            upper=problem.bounds.upper - inside, shares=problem.rate_shares(problem.complete(inside)),
+            clearances=np.zeros((m, 0)), clearance_jacobians=np.zeros((m, 0, n)), penalty=1.0)).change
+        repaired = problem.complete(np.clip(inside + change, problem.bounds.lower, problem.bounds.upper))
         share = float(np.abs(problem.rate_shares(repaired)).max())
         if share > _FEASIBLE_SHARE:
             raise PlanningError("the limits of speed and acceleration allow no motion in this time",
