@@ -86,7 +86,7 @@ def extract_corrections(run: TrackedRun, planned: Trajectory, robot: RobotModel,
 
     Args:
         run: Measured samples.
-        planned: The motion that was tracked; motion times are its times.
+        planned: The motion that was tracked; motion time 0 is its first point.
         robot: The arm, for the position of its tool.
         config: Settings.
 
@@ -112,7 +112,7 @@ def contact_spans(run: TrackedRun, planned: Trajectory, robot: RobotModel,
 
     Args:
         run: Measured samples.
-        planned: The motion that was tracked; motion times are its times.
+        planned: The motion that was tracked; motion time 0 is its first point.
         robot: The arm, for the position of its tool.
         config: Settings.
 
@@ -148,7 +148,7 @@ def _span(run: TrackedRun, planned: Trajectory, robot: RobotModel, interval: tup
     if duration <= 0.0 or motion_times[-1] <= motion_times[0]:
         return None
     measured = _interpolated(stamps, run.times, run.positions)
-    meant = planned.positions_at(motion_times)
+    meant = planned.positions_at(planned.times[0] + motion_times)
     apart = robot.tool_states(measured)[:, :3] - robot.tool_states(meant)[:, :3]
     times = stamps - stamps[0]
     return CorrectedSpan(

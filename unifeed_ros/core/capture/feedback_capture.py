@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from unifeed_ros.core.capture.contact import ContactKind, ContactSample
+from unifeed_ros.core.capture.contact import ContactSample
 from unifeed_ros.core.capture.correction import CorrectedSpan, CorrectionConfig, TrackedRun, contact_spans
 from unifeed_ros.core.capture.demonstration import DemonstrationConfig, extract_demonstration
 from unifeed_ros.core.capture.record import JointRecord
+from unifeed_ros.core.capture.touches import Touch, TouchLog, inside_any
 from unifeed_ros.core.errors import ConfigError, InputError
 from unifeed_ros.core.modes import TeachingMode
 from unifeed_ros.core.robot import RobotModel
@@ -79,19 +79,12 @@ Captured = CapturedDemonstration | CapturedCorrections
 """What a run ends with."""
 
 
-@dataclass
-class _Touch:
-    onset: float
-    end: float
-    meant: bool
-
-
 class FeedbackCapture:
     """Collect what happens until a run ends, then say what it taught.
 
     Every observe method only stores; the work (some milliseconds) is done in the observe_teaching call with which a run
-    ends. A guided run ends when the mode leaves GUIDE, a tracked run when it leaves TRACK, another motion begins, or the
-    same motion begins anew. Contacts that stay collisions to their end teach nothing.
+    ends. A guided run ends when the mode leaves GUIDE, a tracked run when it leaves TRACK, another motion begins, or
+    the same motion begins anew. Contacts that stay collisions to their end teach nothing.
 
     Args:
         robot: The arm.
@@ -111,8 +104,7 @@ class FeedbackCapture:
         self._mode, self._motion_id = TeachingMode.INACTIVE, ""
         self._began = 0.0
         self._progress: list[tuple[float, float]] = []
-        self._touches: list[_Touch] = []
-        self._in_touch = False
+        self._log = TouchLog()
         self._now = -math.inf
 
     def observe_state(self, state: RobotState) -> None:
@@ -130,15 +122,7 @@ class FeedbackCapture:
 
     def observe_contact(self, sample: ContactSample) -> None:
         """Store what the contact detector said."""
-        if not sample.in_contact or sample.onset is None:
-            self._in_touch = False
-            return
-        if not self._in_touch or self._touches[-1].onset != sample.onset:
-            self._touches.append(_Touch(sample.onset, sample.time, False))
-            self._in_touch = True
-        touch = self._touches[-1]
-        touch.end = sample.time
-        touch.meant = touch.meant or sample.kind is ContactKind.TOUCH
+        self._log.add(sample)
 
     def observe_trajectory(self, motion_id: str, trajectory: Trajectory) -> None:
         """Remember a motion by the name under which it will be tracked."""
@@ -179,7 +163,7 @@ class FeedbackCapture:
             self._record.start()
         self._mode, self._motion_id, self._began = mode, motion_id, time
         self._progress = []
-        self._touches = self._touches[-1:] if self._in_touch else []
+        self._log.forget_ended()
 
     def _finish_guided(self, time: float, mode: TeachingMode) -> CapturedDemonstration:
         full = self._record.full
@@ -201,7 +185,7 @@ class FeedbackCapture:
 
     def _finish_tracked(self, time: float) -> CapturedCorrections:
         times, positions = self._record.stop()
-        meant = [t for t in self._touches if t.meant and t.end >= self._began and t.onset <= time]
+        meant = [t for t in self._log.touches if t.meant and t.end >= self._began and t.onset <= time]
         corrections: list[CorrectedSpan] = []
         reason = ""
         if meant:
@@ -212,7 +196,7 @@ class FeedbackCapture:
         return CapturedCorrections(time=time, motion_id=self._motion_id, touched=bool(meant),
                                    corrections=tuple(corrections), reason=reason)
 
-    def _corrections(self, times: Array, positions: Array, meant: list[_Touch],
+    def _corrections(self, times: Array, positions: Array, meant: list[Touch],
                      end: float) -> tuple[list[CorrectedSpan], str]:
         planned = self._trajectories.get(self._motion_id)
         if planned is None:
@@ -221,7 +205,7 @@ class FeedbackCapture:
         times = times[kept]
         stamps, progress = np.array(self._progress).T
         run = TrackedRun(times=times, positions=positions[kept], motion_times=np.interp(times, stamps, progress),
-                         in_contact=_touched(times, meant))
+                         in_contact=inside_any(times, meant))
         spans = contact_spans(run, planned, self._robot, self._config.correction)
         needed = self._config.correction.smallest_deviation
         corrections = [span for span in spans if span.deviation_m >= needed]
@@ -229,10 +213,3 @@ class FeedbackCapture:
             return corrections, ""
         largest = max((span.deviation_m for span in spans), default=0.0)
         return [], f"the touch changed the motion by {100 * largest:.1f} cm; a correction needs {100 * needed:.1f} cm"
-
-
-def _touched(times: Array, touches: list[_Touch]) -> NDArray[np.bool_]:
-    inside = np.zeros(len(times), dtype=bool)
-    for touch in touches:
-        inside |= (times >= touch.onset) & (times <= touch.end)
-    return inside
