@@ -9,13 +9,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from unifeed_ros.core.types import Array
 
 _SLACK_CURVATURE = 1e-3
 _CLOSE = 0.05
 """Distance from every bound, at least, of the first point's slacks."""
+_FIRST_MU = 1.0
+"""Complementarity of the first point; much smaller ones need twice the iterations."""
 _BACK_OFF = 0.99
 """Share of the way to the nearest bound that a step goes."""
 
@@ -72,8 +74,10 @@ class WaypointSolver:
             max_iterations: Largest number of factorisations.
         """
         self._rates, self._limits = rates, rate_limits
-        self._coupling = coupling
-        self._weights = coupling_weights
+        self._coupling, self._weights = coupling, coupling_weights
+        m, n = len(coupling), len(coupling_weights)
+        self._constant = np.zeros((m, n, m, n))
+        _same_joint(self._constant)[:] = coupling_weights[:, None, None] * coupling
         self._tolerance, self._max_iterations = tolerance, max_iterations
 
     def solve(self, qp: WaypointQP) -> QPSolution:
@@ -87,17 +91,16 @@ class WaypointSolver:
         gradient = np.concatenate([qp.gradient.ravel(), np.full(m, qp.penalty)])
         x = np.concatenate([np.zeros(m * n), np.maximum(-qp.clearances.min(axis=1, initial=0.0), 0.0) + _CLOSE])
         z = np.maximum(rows.limits - rows.apply(x), _CLOSE)
-        dual = _CLOSE / z
+        dual = _FIRST_MU / z
         for iteration in range(self._max_iterations):
             residual = self._curved(qp, x) + gradient + rows.adjoint(dual)
             gap = rows.apply(x) + z - rows.limits
             mu = float(dual @ z) / len(z)
             if max(mu, float(np.abs(gap).max()), 0.01 * float(np.abs(residual).max())) < self._tolerance:
                 return QPSolution(x[: m * n].reshape(m, n), True, iteration)
-            try:
-                system = _Factor(self._hessian(qp), rows, dual / z)
-            except LinAlgError:
-                return QPSolution(x[: m * n].reshape(m, n), False, iteration)
+            system = _Factor(self._constant, qp.blocks, rows, dual / z)
+            if not system.definite:
+                break
 
             def direction(target: Array) -> tuple[Array, Array, Array]:
                 dx = system.solve(-residual - rows.adjoint((dual * gap - target) / z))
@@ -110,17 +113,7 @@ class WaypointSolver:
             dx, dz, change = direction(dual * z + change * dz - (ahead / mu) ** 3 * mu)
             share = min(1.0, _BACK_OFF * min(_longest(z, dz), _longest(dual, change)))
             x, z, dual = x + share * dx, z + share * dz, dual + share * change
-        return QPSolution(x[: m * n].reshape(m, n), False, self._max_iterations)
-
-    def _hessian(self, qp: WaypointQP) -> Array:
-        """Assemble B + R as an array of shape (m, n, m, n)."""
-        m, n = qp.gradient.shape
-        hessian = np.zeros((m, n, m, n))
-        for j in range(n):
-            hessian[:, j, :, j] = self._weights[j] * self._coupling
-        way = np.arange(m)
-        hessian[way, :, way, :] += qp.blocks
-        return hessian
+        return QPSolution(x[: m * n].reshape(m, n), False, iteration)
 
     def _curved(self, qp: WaypointQP, x: Array) -> Array:
         m, n = qp.gradient.shape
@@ -172,32 +165,46 @@ class _Rows:
 
 
 class _Factor:
-    """Factorised P + C' W C, the slacks eliminated."""
+    """Factorised P + C' W C, the slacks eliminated.
 
-    def __init__(self, hessian: Array, rows: _Rows, weights: Array) -> None:
+    Attributes:
+        definite: False if rounding made the matrix indefinite; it cannot be solved with then.
+    """
+
+    def __init__(self, constant: Array, blocks: Array, rows: _Rows, weights: Array) -> None:
         m, n = rows.shape
         boxes, rates, slacks, heights = rows.split(weights)
-        scaled = rates / rows.rate_limits**2
-        for j in range(n):
-            hessian[:, j, :, j] += rows.rates.T @ (scaled[:, j, None] * rows.rates)
+        matrix = constant.copy()
+        weighted = (rates / rows.rate_limits**2).T[:, :, None] * rows.rates
+        _same_joint(matrix)[:] += rows.rates.T @ weighted
         self._pivots = _SLACK_CURVATURE + slacks + heights.sum(axis=1)
         self._cross = (heights[:, None, :] @ rows.jacobians)[:, 0]
-        blocks = rows.jacobians.transpose(0, 2, 1) @ (heights[:, :, None] * rows.jacobians)
-        blocks -= self._cross[:, :, None] * self._cross[:, None, :] / self._pivots[:, None, None]
-        way = np.arange(m)
-        hessian[way, :, way, :] += blocks
-        matrix = hessian.reshape(m * n, m * n)
-        matrix.flat[:: m * n + 1] += boxes.ravel()
-        self._factor = cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
-        self._shape = (m, n)
+        by_way = _same_waypoint(matrix)
+        by_way += blocks
+        by_way += rows.jacobians.transpose(0, 2, 1) @ (heights[:, :, None] * rows.jacobians)
+        by_way -= self._cross[:, :, None] * self._cross[:, None, :] / self._pivots[:, None, None]
+        flat = matrix.reshape(m * n, m * n)
+        flat.flat[:: m * n + 1] += boxes.ravel()
+        self._factor, info = dpotrf(flat.T, overwrite_a=True)  # symmetric; the transpose is in LAPACK's order
+        self.definite = info == 0
 
     def solve(self, right: Array) -> Array:
         """Solve for a right-hand side of changes and slacks."""
-        m, n = self._shape
-        changes, slacks = right[: m * n].reshape(m, n), right[m * n:] / self._pivots
-        reduced = changes - self._cross * slacks[:, None]
-        x = cho_solve(self._factor, reduced.ravel(), check_finite=False)
+        m, n = self._cross.shape
+        slacks = right[m * n:] / self._pivots
+        reduced = right[: m * n].reshape(m, n) - self._cross * slacks[:, None]
+        x, _ = dpotrs(self._factor, reduced.ravel())
         return np.concatenate([x, slacks - (self._cross * x.reshape(m, n)).sum(axis=1) / self._pivots])
+
+
+def _same_joint(matrix: Array) -> Array:
+    """View the entries of a matrix (m, n, m, n) that belong to one joint, shape (n, m, m)."""
+    return np.einsum("kjlj->jkl", matrix)
+
+
+def _same_waypoint(matrix: Array) -> Array:
+    """View the entries of a matrix (m, n, m, n) that belong to one way-point, shape (m, n, n)."""
+    return np.einsum("kikj->kij", matrix)
 
 
 def _longest(values: Array, change: Array) -> float:
