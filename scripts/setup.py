@@ -30,6 +30,10 @@ RECIPE = 1
 VERSIONS = ((3, 11), (3, 12), (3, 13))
 REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
 ROS_REQUIREMENTS = "requirements-ros.txt"
+IMPORTS = ("torch", "scipy.interpolate", "scipy.optimize", "scipy.stats", "pinocchio", "osqp", "mujoco",
+           "matplotlib.pyplot", "rosbags.highlevel", "mcap_ros2.decoder", "rclpy.action", "sensor_msgs.msg", "pytest",
+           "hypothesis")
+"""Imported once by setup: an incomplete install shows, and what the nodes need is compiled, the rest never."""
 ROS_VARIABLES = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONPATH",
                  "PYTHONHOME", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "_UNIFEED_ENVIRONMENT")
 
@@ -278,7 +282,7 @@ class Setup:
         return [
             Step("venv", venv, self.make_venv),
             Step("packages", digest(venv, *files), lambda: self.install_packages(files)),
-            Step("environment", digest(venv, *files, ROOT / "scripts" / "ros_environment.py"), self.fix_environment),
+            Step("environment", digest(venv, *files, ROOT / "scripts" / "ros_environment.py"), self.set_environment),
             Step("messages", digest(venv, *ros, ROOT / "unifeed_msgs"), self.build_messages),
             Step("project", digest(venv, ROOT / "setup.py", ROOT / "setup.cfg"), self.install_project),
         ]
@@ -309,10 +313,11 @@ class Setup:
 
     def pip(self, what: str, *arguments: str) -> None:
         """Run the environment's pip."""
-        run([str(self.python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input", *arguments],
+        run([str(self.python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input", "--no-compile",
+             *arguments],
             what, self.env, self.lock)
 
-    def fix_environment(self) -> None:
+    def set_environment(self) -> None:
         """Let this Python find ROS packages and libraries in .venv without sourcing anything."""
         site = self.site_packages()
         shutil.copyfile(ROOT / "scripts" / "ros_environment.py", site / "unifeed_ros_environment.py")
@@ -320,6 +325,7 @@ class Setup:
         if self.choice.ros == "wheels":
             changed = fix_cmake_paths(VENV / "share", *self.include_folders())
             say(f"{changed} CMake files name this machine's headers now")
+        run([str(self.python), "-c", f"import {', '.join(IMPORTS)}"], "first imports", self.env, self.lock)
 
     def build_messages(self) -> None:
         """Build unifeed_msgs into .venv."""
@@ -336,13 +342,14 @@ class Setup:
         run([colcon, "--log-base", str(log), "build", "--merge-install", "--base-paths", "unifeed_msgs",
              "--build-base", str(build), "--install-base", str(VENV), "--event-handlers", "console_direct+",
              "--cmake-args", "-DBUILD_TESTING=OFF", *only], "messages", env, self.lock)
-        self.check_import()
+        self.check_messages()
 
-    def check_import(self) -> None:
-        """Import the messages with their compiled part, as any node will."""
-        code = ("from rclpy.type_support import check_for_type_support as check; import unifeed_msgs.msg as m; "
-                "[check(getattr(m, name)) for name in dir(m) if name[0].isupper()]")
-        run([str(self.python), "-c", code], "check of the messages", self.env, self.lock)
+    def check_messages(self) -> None:
+        """Create a publisher of an own message, as any node will."""
+        code = ("import rclpy, unifeed_msgs.msg as m; rclpy.init(); node = rclpy.create_node('setup_check'); "
+                "node.create_publisher(m.Feedback, 'setup_check', 1); node.destroy_node(); rclpy.shutdown()")
+        env = {**self.env, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        run([str(self.python), "-c", code], "check of the messages", env, self.lock)
 
     def install_project(self) -> None:
         """Install this package so that changes of its sources need no further install."""
