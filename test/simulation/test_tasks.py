@@ -16,7 +16,7 @@ SCENE = Scene(task="table", start=(0.2, 0.2, 0.6), goal=(0.65, -0.4, 0.1),
 
 def random_states(seed, count=30):
     rng = np.random.default_rng(seed)
-    axes = rng.normal(size=(count, 3)) + (0.0, 0.0, -2.0)
+    axes = rng.normal(loc=(0.0, 0.0, -2.0), size=(count, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     return np.concatenate([rng.uniform((-0.1, -0.6, 0.02), (0.8, 0.6, 0.7), size=(count, 3)), axes], axis=1)
 

@@ -39,6 +39,10 @@ class Hand:
     """Spring and damper between the tool and where the person wants it.
 
     Works from joint states alone, as a person's arm works from what it feels.
+
+    Args:
+        robot: The arm.
+        config: How the hand holds the tool.
     """
 
     def __init__(self, robot: RobotModel, config: HandConfig) -> None:
