@@ -9,7 +9,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 SENSOR, EVENT, LATCHED, STREAM = "sensor", "event", "latched", "stream"
 """Names of the qualities of service: fast states, things that must all arrive, newest value kept, the rest."""
 
-PUBLISHER_DEPTH = {SENSOR: 200, EVENT: 100, LATCHED: 1, STREAM: 50}
+PUBLISHER_DEPTH = {SENSOR: 1000, EVENT: 100, LATCHED: 1, STREAM: 50}
 RECORDER_DEPTH = {SENSOR: 5000, EVENT: 1000, LATCHED: 100, STREAM: 1000}
 
 

@@ -30,7 +30,8 @@ def test_hash_is_that_of_the_type_description():
 
 
 def test_fields_constants_arrays_and_comments():
-    text = "# geometry_msgs/Pose x\nuint8 A=1\nPose[] poses  # Point p\nstring<=5 s\nstd_msgs/Header[3] h\nfloat64[<=4] d\n"
+    text = "# geometry_msgs/Pose x\nuint8 A=1\nPose[] poses  # Point p\nstring<=5 s\n"
+    text += "std_msgs/Header[3] h\nfloat64[<=4] d"
     assert dependencies("geometry_msgs", text) == ("geometry_msgs/Pose", "std_msgs/Header")
 
 
