@@ -15,6 +15,8 @@ PENALTY = 50.0
 """Cost of a metre below the floor at one way-point, in the reward's spread [1/m]."""
 _FIRST_CURVATURE = 0.5
 _SMALLEST_RADIUS = 1e-3
+_SHRINK = 0.6
+"""Factor of the radius after a bad step; smaller ones get stuck on ridges before the curvature is learned."""
 _LARGEST_RADIUS = 0.6
 
 
@@ -52,7 +54,7 @@ def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evalua
             present = trial
         small = small + 1 if max(predicted, achieved) < enough else 0
         if ratio < 0.25:
-            radius = 0.4 * min(radius, largest)
+            radius = _SHRINK * min(radius, largest)
         elif ratio > 0.75 and largest > 0.9 * radius:
             radius = min(2.0 * radius, _LARGEST_RADIUS)
         yield present
