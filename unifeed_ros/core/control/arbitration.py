@@ -64,8 +64,8 @@ class Arbitration:
         """
         config = self._config
         self._filtered += (torque - self._filtered) * (1.0 - math.exp(-dt / config.level_time))
-        scaled = self._filtered * self._inverse
-        self.level = max(float(scaled.max()), -float(scaled.min()))
+        scaled = (self._filtered * self._inverse).tolist()  # reductions of short arrays are slower than those of lists
+        self.level = max(max(scaled), -min(scaled))
         level = self.level / (1.0 + config.moving_allowance * min(1.0, speed / config.moving_speed))
         target = share_of_level(level * config.held_gain if self.person_leads else level, config)
         if target < self.authority:

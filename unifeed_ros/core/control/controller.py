@@ -9,14 +9,14 @@ import numpy as np
 from unifeed_ros.core.control.arbitration import Arbitration
 from unifeed_ros.core.control.impedance import ImpedanceLaw
 from unifeed_ros.core.control.reference import Reference, SampledMotion, require_motion
-from unifeed_ros.core.control.safety import LONGEST_TICK, SafetyFilter
+from unifeed_ros.core.control.safety import LONGEST_TICK, SafetyFilter, all_finite
 from unifeed_ros.core.control.settings import ControlConfig
 from unifeed_ros.core.errors import InputError
 from unifeed_ros.core.modes import Control, TeachingMode
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, RobotState, Trajectory
 
-FORCE_TICKS = 5
+FORCE_TICKS = 10
 """Ticks between estimates of the force at the tool: only people read it."""
 SETTLED_SPEED = 0.05
 """Speed of the fastest joint below which a motion counts as ended [rad/s]."""
@@ -193,7 +193,7 @@ class SharedController:
         """Check a state and say from where a new reference starts, so that it does not jump."""
         fault = self._safety.fault_of(state)
         if fault is not None:
-            raise InputError(fault, mend="check the robot's driver")
+            raise InputError(fault, mend="let the arm come to rest, and check its driver")
         if self.mode is TeachingMode.INACTIVE:
             self._now = self._blind_since = state.time
         if self.mode in (TeachingMode.HOLD, TeachingMode.TRACK) and self._reference is not None:
@@ -212,14 +212,14 @@ class SharedController:
             if now - self._blind_since > self.config.stale_after and self.mode is TeachingMode.TRACK:
                 self.stop(f"no external torque for {now - self._blind_since:.2f} s; a push would not be felt")
             torque = self._no_torque
-        elif np.shape(torque) != (self.robot.n,) or not np.isfinite(torque.sum()):
+        elif torque.shape != (self.robot.n,) or not all_finite(torque):
             if self.mode is not TeachingMode.INACTIVE:
                 self.stop(f"external torque is not {self.robot.n} finite numbers")
             torque = self._no_torque
         else:
             self._blind_since = now
-        speed = max(float(state.velocities.max()), -float(state.velocities.min()))
-        self._arbitration.step(torque, speed, dt)
+        velocities = state.velocities.tolist()
+        self._arbitration.step(torque, max(max(velocities), -min(velocities)), dt)
         self._ticks += 1
         if self._ticks % FORCE_TICKS == 0:
             jacobian = self.robot.tool_jacobian(state.positions)[:3]
@@ -265,5 +265,5 @@ class SharedController:
 
 
 def _usable(state: RobotState, n: int) -> bool:
-    return np.shape(state.positions) == np.shape(state.velocities) == (n,) and bool(
-        np.isfinite(state.positions.sum() + state.velocities.sum()))
+    return state.positions.shape == state.velocities.shape == (n,) and all_finite(state.positions) and all_finite(
+        state.velocities)

@@ -56,9 +56,10 @@ class ImpedanceLaw:
             Torques, shape (n,) [Nm].
         """
         wanted = share * setpoint.velocities
-        torque = np.array(pin.rnea(self._model, self._data, positions, wanted, share * setpoint.accelerations))
-        torque += share * self.stiffness * (setpoint.positions - positions)
-        torque += (share + (1.0 - share) * free_damping) * self.damping * (wanted - velocities)
+        torque = pin.rnea(self._model, self._data, positions, wanted, share * setpoint.accelerations)
+        spring = self.stiffness * (setpoint.positions - positions)
+        damper = self.damping * (wanted - velocities)
+        torque = torque + share * spring + (share + (1.0 - share) * free_damping) * damper
         return self._within(torque, positions, velocities)
 
     def soft_hold(self, positions: Array, velocities: Array, anchor: Array, part: float) -> Array:

@@ -82,7 +82,8 @@ class SampledMotion:
         """
         n, place = self.n, min(max(time, 0.0), self.duration) / self._spacing
         index = min(int(place), len(self._rows) - 2)
-        row = self._rows[index] + (place - index) * (self._rows[index + 1] - self._rows[index])
+        first, second = self._rows[index:index + 2]
+        row = first + (place - index) * (second - first)
         return Setpoint(row[:n], row[n:2 * n], row[2 * n:])
 
     def nearest(self, positions: Array, time: float) -> float:
@@ -162,16 +163,17 @@ class Reference:
         rate_change = self._advance(positions, authority, dt) if self._motion is not None else 0.0
         planned = self._anchor if self._motion is None else self._motion.at(self.time)
         acceleration = self._bend(positions - planned.positions, authority, dt)
-        moving = self._motion is not None and self.time < self._motion.duration
-        rate = self._rate if moving else 0.0
-        self.setpoint = Setpoint(
-            planned.positions + self.offset, rate * planned.velocities + self._offset_velocity,
-            acceleration + (rate * rate * planned.accelerations + rate_change * planned.velocities if moving else 0.0))
+        positions, velocities = planned.positions + self.offset, self._offset_velocity
+        if self._motion is not None and self.time < self._motion.duration:
+            velocities = velocities + self._rate * planned.velocities
+            acceleration = acceleration + self._rate * self._rate * planned.accelerations
+            acceleration += rate_change * planned.velocities
+        self.setpoint = Setpoint(positions, velocities, acceleration)
         return self.setpoint
 
     def _advance(self, positions: Array, authority: float, dt: float) -> float:
         assert self._motion is not None
-        distance = float(np.abs(self.offset).max()) / WAITING_OFFSET
+        distance = max(map(abs, self.offset.tolist())) / WAITING_OFFSET
         rate = authority / (1.0 + distance * distance)
         if authority < 0.99:
             ahead = self._motion.nearest(positions, self.time) - self.time
@@ -183,7 +185,8 @@ class Reference:
 
     def _bend(self, gap: Array, authority: float, dt: float) -> Array:
         """Let the offset follow the arm as far as the person leads, and return as far as the robot does."""
-        self.offset += (gap - self.offset) * min(1.0, (1.0 - authority) * FOLLOW_GAIN * dt)
+        if authority < 1.0:
+            self.offset += (gap - self.offset) * min(1.0, (1.0 - authority) * FOLLOW_GAIN * dt)
         if self._motion is None or dt == 0.0:
             return self._zero
         w, before = self._frequency, self._offset_velocity

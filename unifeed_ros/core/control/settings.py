@@ -30,7 +30,7 @@ class ControlConfig:
     """Time in which the robot's share rises from 0 to 1 after the release [s]."""
     rejoin_time: float = 1.0
     """Time in which the arm comes back from where it was left to its motion, to about 2 percent of the way [s]."""
-    guide_damping: float = 0.15
+    guide_damping: float = 0.2
     """Damping while a person guides the weightless arm, as a part of the robot's damping [1]."""
     yield_damping: float = 0.25
     """Damping while the arm yields on its way, as a part of the robot's damping [1]; it keeps a push from throwing it."""
