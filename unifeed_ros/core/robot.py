@@ -89,7 +89,8 @@ def load_robot(path: Path) -> RobotConfig:
     """
     parameters = load_parameters(path)
     if not isinstance(parameters.get("robot"), dict):
-        raise ConfigError(f"parameter file {path}", expected="a group named robot", got=", ".join(parameters) or "nothing")
+        raise ConfigError(f"parameter file {path}", expected="a group named robot",
+                          got=", ".join(parameters) or "nothing")
     try:
         return from_mapping(RobotConfig, parameters["robot"], f"robot in {path.name}")
     except UnifeedError as error:

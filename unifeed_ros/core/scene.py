@@ -78,7 +78,8 @@ def load_scene(path: Path) -> Scene:
     """
     parameters = load_parameters(path)
     if not isinstance(parameters.get("scene"), dict):
-        raise ConfigError(f"parameter file {path}", expected="a group named scene", got=", ".join(parameters) or "nothing")
+        raise ConfigError(f"parameter file {path}", expected="a group named scene",
+                          got=", ".join(parameters) or "nothing")
     try:
         return from_mapping(Scene, parameters["scene"], f"scene in {path.name}")
     except UnifeedError as error:

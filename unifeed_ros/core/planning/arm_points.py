@@ -38,7 +38,7 @@ class ArmPoints:
         self._tool_joint, self._tool_in_joint = frame.parentJoint, frame.placement
         offsets = [float(np.linalg.norm(placement.translation)) for placement in robot.pin_model.jointPlacements]
         self._joints = [i for i in range(3, robot.n + 1) if offsets[i] > 1e-6]
-        self.names = tuple(robot.joint_names[i - 1] for i in self._joints) + (robot.config.tool_frame,)
+        self.names = (*(robot.joint_names[i - 1] for i in self._joints), robot.config.tool_frame)
         owner = np.array([*self._joints, self._tool_joint])
         self._moved_by = owner[:, None] >= np.arange(1, robot.n + 1)  # (P, n): joints between base and point
 

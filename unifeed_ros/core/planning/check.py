@@ -110,15 +110,18 @@ def check_motion(trajectory: Trajectory, bounds: MotionBounds, points: ArmPoints
     acceleration = np.abs(trajectory.accelerations).max(axis=0)
     heights = points.evaluate(np.ascontiguousarray(q)).heights.min(axis=0)
     shortfall = bounds.floors - heights
-    problems = [f"{names[j]} leaves its limits by {excess[j]:.3f} rad" for j in np.flatnonzero(excess > _POSITION_TOLERANCE)]
+    problems = [f"{names[j]} leaves its limits by {excess[j]:.3f} rad"
+                for j in np.flatnonzero(excess > _POSITION_TOLERANCE)]
     problems += [f"{names[j]} reaches {speed[j]:.2f} rad/s of {bounds.velocity[j]:.2f}"
                  for j in np.flatnonzero(speed > bounds.velocity * (1 + _RATE_TOLERANCE))]
     problems += [f"{names[j]} reaches {acceleration[j]:.2f} rad/s^2 of {bounds.acceleration[j]:.2f}"
                  for j in np.flatnonzero(acceleration > bounds.acceleration * (1 + _RATE_TOLERANCE))]
     problems += [f"{points.names[p]} comes down to {heights[p]:.3f} m, floor {bounds.floors[p]:.3f} m"
                  for p in np.flatnonzero(shortfall > _HEIGHT_TOLERANCE)]
-    return MotionCheck(max(float(excess.max()), 0.0), float((speed / bounds.velocity).max()),
-                       float((acceleration / bounds.acceleration).max()), max(float(shortfall.max()), 0.0), tuple(problems))
+    return MotionCheck(
+        position_excess=max(float(excess.max()), 0.0), velocity_ratio=float((speed / bounds.velocity).max()),
+        acceleration_ratio=float((acceleration / bounds.acceleration).max()),
+        height_shortfall=max(float(shortfall.max()), 0.0), problems=tuple(problems))
 
 
 def _require_goal(robot: RobotModel, bounds: MotionBounds, points: ArmPoints, goal: Array) -> None:

@@ -22,8 +22,9 @@ __all__ = ["Plan", "PlanProgress", "PlannerConfig", "plan_motion"]
 
 _SHORTEST = 0.5
 """Duration of a motion that hardly moves, where none is asked for [s]."""
-_LONGER = 1.05
-"""Factor by which a duration is lengthened until the limits allow it [1]."""
+_LONGER = 1.03
+"""Factor by which a duration is lengthened until way-points can keep it [1]."""
+_TRIALS = 12
 _RAISES = 3
 """How often the floor is raised because the spline between way-points dips below it."""
 
@@ -97,7 +98,7 @@ def plan_motion(
     search.improve(problem, start_motions(problem, repair, seeds, config))
     trajectory, check = _followable(robot, problem, search.best, config)
     for _ in range(_RAISES):
-        if check.ok or check.height_shortfall == 0.0 or search.ended:
+        if check.ok or check.height_shortfall == 0.0 or search.has_ended():
             break
         problem = problem.raised(check.height_shortfall)
         search.improve(problem, [search.best])
@@ -106,32 +107,36 @@ def plan_motion(
 
 
 def _duration(start: Array, goal: Array | None, asked: float, bounds: MotionBounds, config: PlannerConfig) -> float:
-    """Choose a duration where none is asked for."""
+    """Choose a duration where none is asked for, and lengthen one that no motion could keep."""
     if not (np.isfinite(asked) and asked >= 0):
         raise PlanningError("duration of the motion", expected="0 or more seconds", got=asked)
-    if asked > 0:
-        return asked
     if goal is None:
-        raise PlanningError("duration of a motion without a goal", expected="> 0 s", got=asked)
-    return max(config.slack * shortest_duration(goal - start, bounds.velocity, bounds.acceleration), _SHORTEST)
+        if asked == 0:
+            raise PlanningError("duration of a motion without a goal", expected="> 0 s", got=asked)
+        return asked
+    shortest = shortest_duration(goal - start, bounds.velocity, bounds.acceleration)
+    if asked == 0:
+        return max(config.slack * shortest, _SHORTEST)
+    if shortest > asked * config.max_slowdown:
+        raise PlanningError("start and goal are too far apart for the duration", expected=f"{shortest:.2f} s or more",
+                            got=f"{asked:.2f} s", mend="allow more time, or raise the robot's limits")
+    return max(asked, shortest)
 
 
-def _feasible_problem(robot: RobotModel, reward: StateReward | None, start: Array, goal: Array | None, wanted: float,
+def _feasible_problem(robot: RobotModel, reward: StateReward | None, start: Array, goal: Array | None, duration: float,
                       bounds: MotionBounds, config: PlannerConfig) -> tuple[PlanningProblem, StartRepair]:
-    """Build the problem for the shortest duration, from the wanted one on, that the limits allow."""
-    duration = wanted
-    while True:
-        problem = PlanningProblem(robot, reward, start, goal, duration, bounds, config)
+    """Build the problem for the shortest duration, from the given one on, that way-points can keep."""
+    for trial in range(_TRIALS):
+        problem = PlanningProblem(robot, reward, start, goal, duration * _LONGER**trial, bounds, config)
         repair = StartRepair(problem)
         try:
             repair(straight_line(problem))
             return problem, repair
-        except PlanningError as error:
-            duration *= _LONGER
-            if duration > wanted * config.max_slowdown:
-                raise PlanningError("no motion from start to goal keeps the limits of speed and acceleration",
-                                    expected=f"a duration over {duration / _LONGER:.2f} s", got=f"{wanted:.2f} s",
-                                    mend="allow more time, or raise the robot's limits") from error
+        except PlanningError:
+            continue
+    raise PlanningError("no motion from start to goal keeps the limits of speed and acceleration",
+                        expected=f"a duration over {problem.duration:.2f} s", got=f"{duration:.2f} s",
+                        mend="allow more time, or more way-points")
 
 
 def _followable(robot: RobotModel, problem: PlanningProblem, waypoints: Array,

@@ -72,7 +72,8 @@ class PlanningProblem:
         count: Number of way-points H.
         free: Indices of the way-points that may move, m of them.
         scale: Reward's spread that the cost is divided by [reward].
-        rates: Linear map from way-points to limited rates, shape (R, H); accelerations, and control points of the velocities.
+        rates: Linear map from way-points to what is limited, shape (R, H): accelerations, velocities and their
+            control points.
         rate_limits: Their limits less the margin, shape (R, n).
         roughness_hessian: Hessian of the roughness over free way-points for a joint of unit weight, shape (m, m).
         roughness_weights: Weight of each joint in it, shape (n,).

@@ -54,8 +54,6 @@ class QPSolution(NamedTuple):
     """d, shape (m, n)."""
     converged: bool
     """True if the residuals are below the tolerance."""
-    iterations: int
-    """Linear systems factorised."""
 
 
 class WaypointSolver:
@@ -87,39 +85,48 @@ class WaypointSolver:
             qp: What to solve.
         """
         rows = _Rows(self._rates, self._limits, qp)
-        m, n = qp.gradient.shape
-        gradient = np.concatenate([qp.gradient.ravel(), np.full(m, qp.penalty)])
-        x = np.concatenate([np.zeros(m * n), np.maximum(-qp.clearances.min(axis=1, initial=0.0), 0.0) + _CLOSE])
-        z = np.maximum(rows.limits - rows.apply(x), _CLOSE)
-        dual = _FIRST_MU / z
-        for iteration in range(self._max_iterations):
-            residual = self._curved(qp, x) + gradient + rows.adjoint(dual)
-            gap = rows.apply(x) + z - rows.limits
-            mu = float(dual @ z) / len(z)
-            if max(mu, float(np.abs(gap).max()), 0.01 * float(np.abs(residual).max())) < self._tolerance:
-                return QPSolution(x[: m * n].reshape(m, n), True, iteration)
-            system = _Factor(self._constant, qp.blocks, rows, dual / z)
+        point = _first_point(rows, qp)
+        gradient = np.concatenate([qp.gradient.ravel(), np.full(len(qp.gradient), qp.penalty)])
+        for _ in range(self._max_iterations):
+            residual = self._curved(qp, point.x) + gradient + rows.adjoint(point.dual)
+            gap = rows.apply(point.x) + point.room - rows.limits
+            mu = point.complementarity()
+            converged = max(mu, float(np.abs(gap).max()), 0.01 * float(np.abs(residual).max())) < self._tolerance
+            if converged:
+                break
+            system = _Factor(self._constant, qp.blocks, rows, point.dual / point.room)
             if not system.definite:
                 break
-
-            def direction(target: Array) -> tuple[Array, Array, Array]:
-                dx = system.solve(-residual - rows.adjoint((dual * gap - target) / z))
-                dz = -gap - rows.apply(dx)
-                return dx, dz, -(target + dual * dz) / z
-
-            dx, dz, change = direction(dual * z)
-            share = min(_longest(z, dz), _longest(dual, change))
-            ahead = float((dual + share * change) @ (z + share * dz)) / len(z)
-            dx, dz, change = direction(dual * z + change * dz - (ahead / mu) ** 3 * mu)
-            share = min(1.0, _BACK_OFF * min(_longest(z, dz), _longest(dual, change)))
-            x, z, dual = x + share * dx, z + share * dz, dual + share * change
-        return QPSolution(x[: m * n].reshape(m, n), False, iteration)
+            predictor = _direction(rows, system, point, residual, gap, point.dual * point.room)
+            ahead = point.moved(predictor, 1.0).complementarity()
+            target = point.dual * point.room + predictor.dual * predictor.room - (ahead / mu) ** 3 * mu
+            point = point.moved(_direction(rows, system, point, residual, gap, target), _BACK_OFF)
+        return QPSolution(point.x[: qp.gradient.size].reshape(qp.gradient.shape), converged)
 
     def _curved(self, qp: WaypointQP, x: Array) -> Array:
         m, n = qp.gradient.shape
         change = x[: m * n].reshape(m, n)
         curved = (qp.blocks @ change[:, :, None])[:, :, 0] + (self._coupling @ change) * self._weights
         return np.concatenate([curved.ravel(), _SLACK_CURVATURE * x[m * n:]])
+
+
+class _Point(NamedTuple):
+    """Variables x, room h - C x left by the rows, and the rows' multipliers; or a direction for them."""
+
+    x: Array
+    room: Array
+    dual: Array
+
+    def complementarity(self) -> float:
+        """Compute the mean product of room and multiplier."""
+        return float(self.dual @ self.room) / len(self.room)
+
+    def moved(self, direction: _Point, back_off: float) -> _Point:
+        """Go along a direction, up to the given share of the way to where a room or multiplier vanishes."""
+        nearest = min(_longest(self.room, direction.room), _longest(self.dual, direction.dual))
+        share = min(1.0, back_off * nearest)
+        return _Point(self.x + share * direction.x, self.room + share * direction.room,
+                      self.dual + share * direction.dual)
 
 
 class _Rows:
@@ -153,7 +160,7 @@ class _Rows:
         return np.concatenate([change.ravel(), -slacks - heights.sum(axis=1)])
 
     def split(self, weights: Array) -> tuple[Array, Array, Array, Array]:
-        """Sort weights of rows: of changes (m, n), of rates over limits (R, n), of slacks (m,), of clearances (m, P)."""
+        """Sort the rows' weights: changes (m, n), rates over limits (R, n), slacks (m,), clearances (m, P)."""
         both = weights[: self._two_sided] + weights[self._two_sided: 2 * self._two_sided]
         return (both[: self._size].reshape(self.shape), both[self._size:].reshape(self.rate_limits.shape),
                 *self._one_sided(weights))
@@ -205,6 +212,21 @@ def _same_joint(matrix: Array) -> Array:
 def _same_waypoint(matrix: Array) -> Array:
     """View the entries of a matrix (m, n, m, n) that belong to one way-point, shape (m, n, n)."""
     return np.einsum("kikj->kij", matrix)
+
+
+def _first_point(rows: _Rows, qp: WaypointQP) -> _Point:
+    """Stay where the way-points are, with enough slack for the clearances."""
+    missing = np.maximum(-qp.clearances.min(axis=1, initial=0.0), 0.0)
+    x = np.concatenate([np.zeros(qp.gradient.size), missing + _CLOSE])
+    room = np.maximum(rows.limits - rows.apply(x), _CLOSE)
+    return _Point(x, room, _FIRST_MU / room)
+
+
+def _direction(rows: _Rows, system: _Factor, point: _Point, residual: Array, gap: Array, target: Array) -> _Point:
+    """Solve Newton's equations: residual and gap vanish, and products of room and multiplier fall by the target."""
+    x = system.solve(-residual - rows.adjoint((point.dual * gap - target) / point.room))
+    room = -gap - rows.apply(x)
+    return _Point(x, room, -(target + point.dual * room) / point.room)
 
 
 def _longest(values: Array, change: Array) -> float:

@@ -61,9 +61,8 @@ class Search:
         """Wall-clock time since the search began [s]."""
         return time.perf_counter() - self._began
 
-    @property
-    def ended(self) -> bool:
-        """True if the search was canceled or has used up its time; polls the caller."""
+    def has_ended(self) -> bool:
+        """Poll the caller and the clock: True if the search was canceled or has used up its time."""
         if self.status == "solved":
             if self._should_stop is not None and self._should_stop():
                 self.status = "canceled"
@@ -84,15 +83,15 @@ class Search:
         self._best = None
         subproblem = Subproblem(problem)
         for start in starts:
-            present = problem.evaluate(start)
-            self._keep(present)
-            if self.ended:
+            first = problem.evaluate(start)
+            self._keep(first)
+            if self.has_ended():
                 return
-            for present in iterations(problem, subproblem, present, self._config):
+            for present in iterations(problem, subproblem, first, self._config):
                 self.count += 1
                 self._keep(present)
                 self._report(problem, present)
-                if self.ended:
+                if self.has_ended():
                     return
 
     def _keep(self, present: Evaluation) -> None:

@@ -29,7 +29,8 @@ class StartRepair:
         """Set up the quadratic programme."""
         self._problem = problem
         m, n = len(problem.free), problem.joints
-        self._solver = WaypointSolver(problem.rates[:, problem.free], problem.rate_limits, np.zeros((m, m)), np.zeros(n))
+        uncoupled = np.zeros((m, m)), np.zeros(n)
+        self._solver = WaypointSolver(problem.rates[:, problem.free], problem.rate_limits, *uncoupled)
 
     def __call__(self, waypoints: Array) -> Array:
         """Repair way-points.
