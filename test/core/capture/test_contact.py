@@ -14,7 +14,7 @@ THRESHOLDS = np.array([2.0, 2.0, 2.0, 2.0, 1.5, 1.5, 1.0])
 N = len(THRESHOLDS)
 
 
-def pushes(spans, heights, *, duration=8.0, rate=500.0, rise=0.05, seed=0, noise=0.1):
+def pushes(spans, heights, *, duration=6.0, rate=250.0, rise=0.05, seed=0, noise=0.1):
     """Make torque of pushes (heights in thresholds) with noise: times, torque, velocities, truth."""
     rng = np.random.default_rng(seed)
     times = np.arange(0.0, duration, 1.0 / rate)
@@ -33,11 +33,11 @@ def detect(times, torque, velocities, **settings):
 
 
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 4))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_pushes_with_known_times_are_found(seed, count):
     rng = np.random.default_rng(seed)
-    starts = 1.0 + np.arange(count) * 1.7 + rng.uniform(0.0, 0.5, count)
-    spans = [(s, s + d) for s, d in zip(starts, rng.uniform(0.4, 0.9, count), strict=True)]
+    starts = 0.6 + np.arange(count) * 1.35 + rng.uniform(0.0, 0.2, count)
+    spans = [(s, s + d) for s, d in zip(starts, rng.uniform(0.4, 0.8, count), strict=True)]
     times, torque, velocities, truth = pushes(spans, rng.uniform(2.5, 8.0, count), seed=seed)
     samples, touches = detect(times, torque, velocities)
     assert len(touches) == count and all(touch.meant for touch in touches)
@@ -49,19 +49,19 @@ def test_pushes_with_known_times_are_found(seed, count):
 
 
 @given(shift=st.floats(-1e5, 1e6), bias=st.lists(st.floats(-20.0, 20.0), min_size=N, max_size=N))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_time_shift_and_constant_bias_change_nothing(shift, bias):
-    times, torque, velocities, _ = pushes([(2.0, 2.6), (4.0, 4.5)], [3.0, 5.0], rate=200.0)
+    times, torque, velocities, _ = pushes([(2.0, 2.6), (4.0, 4.5)], [3.0, 5.0], rate=100.0)
     _, touches = detect(times, torque, velocities)
     shifted, moved = detect(times + shift, torque + bias, velocities)
     assert len(moved) == len(touches) == 2
-    np.testing.assert_allclose([t.onset - shift for t in moved], [t.onset for t in touches], atol=0.011)
-    np.testing.assert_allclose([t.end - shift for t in moved], [t.end for t in touches], atol=0.011)
+    np.testing.assert_allclose([t.onset - shift for t in moved], [t.onset for t in touches], atol=0.021)
+    np.testing.assert_allclose([t.end - shift for t in moved], [t.end for t in touches], atol=0.021)
     np.testing.assert_allclose(shifted[-1].bias - bias, detect(times, torque, velocities)[0][-1].bias, atol=0.05)
 
 
 @given(height=st.floats(0.0, 0.6), seed=st.integers(0, 1000))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_push_below_the_threshold_is_nothing(height, seed):
     samples, touches = detect(*pushes([(2.0, 4.0)], [height], seed=seed, noise=0.05)[:3])
     assert touches == ()
@@ -77,28 +77,28 @@ def test_moving_arm_needs_more_torque_than_a_still_one():
 
 def test_spike_shorter_than_the_delay_is_nothing():
     times, torque, velocities, _ = pushes([], [])
-    torque[2000:2005] += 10.0  # 10 ms
+    torque[1000:1004] += 10.0  # 16 ms
     assert detect(times, torque, velocities)[1] == ()
 
 
 def test_dips_within_a_push_do_not_split_it():
     times, torque, velocities, _ = pushes([(2.0, 4.0)], [3.0])
-    torque[1300:1330] *= 0.05  # 60 ms
+    torque[650:665] *= 0.05  # 60 ms
     assert len(detect(times, torque, velocities)[1]) == 1
 
 
 def test_short_and_hard_is_a_collision_and_a_held_one_becomes_a_touch():
-    hit = detect(*pushes([(2.0, 2.1)], [12.0], rate=1000.0, rise=0.004)[:3])
+    hit = detect(*pushes([(2.0, 2.1)], [12.0], duration=4.0, rate=1000.0, rise=0.004)[:3])
     assert [t.meant for t in hit[1]] == [False]
     assert {s.kind for s in hit[0]} == {ContactKind.NONE, ContactKind.COLLISION}
-    held = detect(*pushes([(2.0, 3.5)], [12.0], rate=1000.0, rise=0.004)[:3])
+    held = detect(*pushes([(2.0, 3.5)], [12.0], duration=4.0, rate=1000.0, rise=0.004)[:3])
     assert [t.meant for t in held[1]] == [True]
-    soft = detect(*pushes([(2.0, 2.5)], [6.0], rate=1000.0, rise=0.15)[:3])
+    soft = detect(*pushes([(2.0, 2.5)], [6.0], duration=4.0, rate=1000.0, rise=0.15)[:3])
     assert {s.kind for s in soft[0]} == {ContactKind.NONE, ContactKind.TOUCH}
 
 
 def test_bias_that_shifts_does_not_stay_a_contact():
-    times, torque, velocities, _ = pushes([(16.0, 17.0)], [4.0], duration=20.0, rate=200.0)
+    times, torque, velocities, _ = pushes([(16.0, 17.0)], [4.0], duration=20.0, rate=100.0)
     torque[times > 2.0, 3] -= 3.0
     samples, touches = detect(times, torque, velocities)
     assert len(touches) == 2
@@ -108,13 +108,13 @@ def test_bias_that_shifts_does_not_stay_a_contact():
 
 
 def test_slow_drift_is_followed_as_bias():
-    times, torque, velocities, _ = pushes([], [], duration=60.0, rate=100.0)
+    times, torque, velocities, _ = pushes([], [], duration=60.0, rate=50.0)
     torque += 0.05 * times[:, None] * THRESHOLDS  # 3 thresholds in a minute
     assert detect(times, torque, velocities)[1] == ()
 
 
 def test_nothing_is_said_before_the_bias_is_known():
-    times, torque, velocities, _ = pushes([], [], rate=1000.0)
+    times, torque, _, _ = pushes([], [], rate=1000.0)
     detector = ContactDetector(THRESHOLDS)
     for time, row in itertools.islice(zip(times, torque, strict=True), 290):
         assert not detector.update(time, row + 50.0, np.zeros(N)).in_contact
@@ -122,15 +122,15 @@ def test_nothing_is_said_before_the_bias_is_known():
 
 
 def test_outliers_at_the_start_do_not_enter_the_bias():
-    times, torque, velocities, _ = pushes([], [], rate=500.0)
-    torque[10:60] += 30.0  # a third of the start
+    times, torque, velocities, _ = pushes([], [])
+    torque[10:35] += 30.0  # a third of the start
     samples, touches = detect(times, torque, velocities)
     assert touches == ()
     assert np.abs(samples[-1].bias).max() < 0.2
 
 
 def test_stamps_out_of_order_are_skipped():
-    times, torque, velocities, _ = pushes([(2.0, 2.6)], [4.0])
+    times, torque, _, _ = pushes([(2.0, 2.6)], [4.0])
     detector = ContactDetector(THRESHOLDS)
     for time, row in zip(times, torque, strict=True):
         sample = detector.update(time, row, np.zeros(N))
@@ -142,10 +142,10 @@ def test_stamps_out_of_order_are_skipped():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_values_that_are_not_finite_are_refused_and_harm_nothing(bad):
-    times, torque, velocities, _ = pushes([(2.0, 2.6)], [4.0])
+    times, torque, _, _ = pushes([(2.0, 2.6)], [4.0])
     detector, twin = ContactDetector(THRESHOLDS), ContactDetector(THRESHOLDS)
     row = np.where(np.arange(N) == 4, bad, 0.0)
-    for k in range(1500):
+    for k in range(600):
         with pytest.raises(InputError, match="not finite"):
             detector.update(times[k], row, np.zeros(N))
         with pytest.raises(InputError, match="not finite"):
@@ -157,11 +157,11 @@ def test_values_that_are_not_finite_are_refused_and_harm_nothing(bad):
 
 
 def test_samples_do_not_change_later():
-    times, torque, velocities, _ = pushes([(2.0, 2.6)], [4.0])
+    times, torque, _, _ = pushes([(2.0, 2.6)], [4.0])
     detector = ContactDetector(THRESHOLDS)
     samples = [detector.update(t, row, np.zeros(N)) for t, row in zip(times[:500], torque, strict=False)]
     kept = [s.bias.copy() for s in samples]
-    detector.update(times[600], torque[600], np.zeros(N))
+    detector.update(times[550], torque[550], np.zeros(N))
     np.testing.assert_array_equal([s.bias for s in samples], kept)
     with pytest.raises(ValueError, match="read-only"):
         samples[-1].bias[0] = 1.0

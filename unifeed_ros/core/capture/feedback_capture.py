@@ -142,8 +142,13 @@ class FeedbackCapture:
 
         Returns:
             The run that ended, if one did.
+
+        Raises:
+            InputError: The mode is unknown, or a time is not finite; nothing is stored.
         """
-        mode = TeachingMode(mode)
+        if not math.isfinite(time + motion_time):
+            raise InputError("teaching state is not finite", got=(time, motion_time))
+        mode = _known_mode(mode)
         anew = mode is TeachingMode.TRACK and bool(self._progress) and motion_time < self._progress[-1][1] - 0.1
         captured: list[Captured] = []
         if mode is not self._mode or motion_id != self._motion_id or anew:
@@ -152,7 +157,7 @@ class FeedbackCapture:
             elif self._mode is TeachingMode.TRACK:
                 captured.append(self._finish_tracked(time))
             self._begin(time, mode, motion_id)
-        if mode is TeachingMode.TRACK:
+        if mode is TeachingMode.TRACK and (not self._progress or time > self._progress[-1][0]):
             self._progress.append((time, motion_time))
         return captured
 
@@ -213,3 +218,10 @@ class FeedbackCapture:
             return corrections, ""
         largest = max((span.deviation_m for span in spans), default=0.0)
         return [], f"the touch changed the motion by {100 * largest:.1f} cm; a correction needs {100 * needed:.1f} cm"
+
+
+def _known_mode(mode: int) -> TeachingMode:
+    try:
+        return TeachingMode(mode)
+    except ValueError as error:
+        raise InputError("teaching mode", expected=f"0 to {max(TeachingMode):d}", got=mode) from error

@@ -66,7 +66,7 @@ class JointRecord:
             Stamps, shape (N,) [s], and joint positions, shape (N, n) [rad]; N may be 0.
         """
         times = np.array([time for time, _ in self._samples])
-        positions = np.array([positions for _, positions in self._samples])
+        positions = np.array([positions for _, positions in self._samples]) if self._samples else np.empty((0, 0))
         self.clear()
         return times, positions
 
