@@ -75,10 +75,10 @@ def test_a_motion_on_its_limits_is_given_back(panda, straight):
 
 def test_the_query_is_the_best_of_all_pairs(panda, context, straight, ensemble):
     candidates = [straight, *vary_trajectory(panda, straight, 0.15, 5, np.random.default_rng(1))]
-    query = select_query(ensemble, candidates, panda, context, 20)
+    query = select_query(ensemble, candidates, panda, context, 20, rationality=2.0)
     returns = np.stack([ensemble.member_rewards(panda.tool_states(c.resampled(20)), context).sum(axis=1)
                         for c in candidates], axis=1)
-    gains = {(i, j): float(information_gain(returns[:, [i, j]])) for j in range(6) for i in range(j)}
+    gains = {(i, j): float(information_gain(2.0 * returns[:, [i, j]])) for j in range(6) for i in range(j)}
     assert query.indices == max(gains, key=gains.__getitem__)
     assert query.information == pytest.approx(max(gains.values()))
 

@@ -136,7 +136,8 @@ def test_a_diverged_training_is_refused(panda, items):
 
 @pytest.mark.parametrize("setting", [
     {"members": 1}, {"hidden": ()}, {"hidden": (0,)}, {"waypoints": 3}, {"steps": 0}, {"batch": 0},
-    {"learning_rate": 0.0}, {"weight_penalty": -1.0}, {"weight_penalty": np.nan}, {"demonstration_comparisons": 0}])
+    {"learning_rate": 0.0}, {"weight_penalty": -1.0}, {"weight_penalty": np.nan}, {"demonstration_comparisons": 0},
+    {"rationality": 0.0}])
 def test_settings_that_cannot_work_are_refused(setting):
     with pytest.raises(ConfigError, match=next(iter(setting))):
         TrainingConfig(**setting)

@@ -20,6 +20,10 @@ ACTIVATION = "leaky_relu"
 """Activation of the hidden layers."""
 LEAK = 0.01
 """Slope of the activation below zero."""
+RATIONALITY = 5.0
+"""How strongly returns decide a comparison, beta of P(x > y) = exp(beta R_x) / (exp(beta R_x) + exp(beta R_y))
+[1/reward]. Paper eq. M3 has 1; rewards between -1 and 1 must then saturate to tell near alternatives apart, and a
+saturated reward is flat: on the way to the goal the planner no longer sees where it was shown to go."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

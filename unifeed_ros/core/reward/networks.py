@@ -112,9 +112,15 @@ class Comparer:
         shown: Network inputs of the shown motions, shape (m, A, H, I).
     """
 
-    def __init__(self, networks: Networks, buffer: RankingsBuffer) -> None:
-        """Hold the networks and the buffer's arrays as tensors, without copying."""
-        self._networks, self._buffer = networks, buffer
+    def __init__(self, networks: Networks, buffer: RankingsBuffer, rationality: float) -> None:
+        """Hold the networks and the buffer's arrays as tensors, without copying.
+
+        Args:
+            networks: The members.
+            buffer: The comparisons.
+            rationality: Factor beta on the returns in paper eq. M3 [1/reward].
+        """
+        self._networks, self._buffer, self._rationality = networks, buffer, rationality
         members = len(networks.weights[0])
         self.shown = torch.from_numpy(buffer.shown).expand(members, *buffer.shown.shape)
         self._demonstrations = torch.from_numpy(buffer.demonstration_alternatives)
@@ -163,7 +169,7 @@ class Comparer:
         Returns:
             The losses.
         """
-        shown, demonstrations, corrections = self.returns(alternatives)
+        shown, demonstrations, corrections = (self._rationality * r for r in self.returns(alternatives))
         buffer = self._buffer
         return LossTerms(
             demonstrations=demonstration_loss(shown[:, buffer.demonstrated], demonstrations),

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from unifeed_ros.core.errors import InputError, ShapeError
 from unifeed_ros.core.feedback.deformation import sample_deformations
-from unifeed_ros.core.reward.ensemble import RewardEnsemble
+from unifeed_ros.core.reward.ensemble import RATIONALITY, RewardEnsemble
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, Context, Trajectory
 
@@ -55,7 +55,7 @@ def information_gain(returns: ArrayLike) -> Array:
 
 
 def select_query(ensemble: RewardEnsemble, candidates: Sequence[Trajectory], robot: RobotModel, context: Context,
-                 waypoints: int = 20) -> Query:
+                 waypoints: int = 20, rationality: float = RATIONALITY) -> Query:
     """Choose the two candidates whose comparison tells the most (paper eq. M7, over every pair).
 
     Args:
@@ -64,6 +64,7 @@ def select_query(ensemble: RewardEnsemble, candidates: Sequence[Trajectory], rob
         robot: Arm that the motions are of.
         context: Goal and objects.
         waypoints: States that a motion's return is summed over.
+        rationality: How strongly returns decide an answer, as in training [1/reward].
 
     Returns:
         The query; the first best one where several tell the same.
@@ -80,7 +81,8 @@ def select_query(ensemble: RewardEnsemble, candidates: Sequence[Trajectory], rob
     returns = np.stack([
         reward.member_rewards(robot.tool_states(t.resampled(waypoints))).sum(axis=1) for t in candidates], axis=-1)
     first, second = np.triu_indices(len(candidates), k=1)
-    information = information_gain(np.stack([returns[:, first], returns[:, second]], axis=-1).transpose(1, 0, 2))
+    pairs = np.stack([returns[:, first], returns[:, second]], axis=-1).transpose(1, 0, 2)
+    information = information_gain(rationality * pairs)
     best = int(np.argmax(information))
     return Query(indices=(int(first[best]), int(second[best])), information=float(information[best]))
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from unifeed_ros.core.errors import ConfigError, TrainingError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.reward.buffer import AlternativesConfig, RankingsBuffer, build_buffer
-from unifeed_ros.core.reward.ensemble import RewardEnsemble
+from unifeed_ros.core.reward.ensemble import RATIONALITY, RewardEnsemble
 from unifeed_ros.core.reward.losses import LossTerms
 from unifeed_ros.core.reward.networks import Comparer, Networks
 from unifeed_ros.core.robot import RobotModel
@@ -28,6 +28,8 @@ class TrainingConfig:
     """Number of networks, at least 2 (disagreement needs two)."""
     hidden: Sequence[int] = (64, 64)
     """Widths of the hidden layers."""
+    rationality: float = RATIONALITY
+    """How strongly returns decide a comparison, beta of the Luce choice rule [1/reward]."""
     waypoints: int = 20
     """States H that a motion is compared by; the planner should use as many."""
     demonstration_comparisons: int = 200
@@ -64,6 +66,8 @@ class TrainingConfig:
         for name in ("learning_rate", "warm_learning_rate"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ConfigError(name, expected="above 0 and below 1", got=getattr(self, name))
+        if not 0.0 < self.rationality < float("inf"):
+            raise ConfigError("rationality", expected="above 0", got=self.rationality)
         if not self.weight_penalty >= 0.0:
             raise ConfigError("weight_penalty", expected="not negative", got=self.weight_penalty)
 
@@ -121,7 +125,7 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         steps = config.warm_steps if warm else config.steps
         _optimise(networks, buffer, config, steps, config.warm_learning_rate if warm else config.learning_rate,
                   rng, on_progress)
-        terms, accuracy = _evaluate(networks, _build(dataset, robot, config, rng))
+        terms, accuracy = _evaluate(networks, _build(dataset, robot, config, rng), config.rationality)
     ensemble = RewardEnsemble(
         version=version, robot=dataset.robot, frame=robot.config.base_frame, inputs=buffer.inputs, layer_sizes=sizes,
         weights=tuple(w.detach().numpy() for w in networks.weights),
@@ -137,7 +141,7 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
 def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig, steps: int, learning_rate: float,
               rng: np.random.Generator, on_progress: Callable[[float], None] | None) -> None:
     """Minimise eq. M9 with Adam under a cosine schedule, restarting members that die early."""
-    comparer = Comparer(networks, buffer)
+    comparer = Comparer(networks, buffer, config.rationality)
     weights = (config.demonstration_comparisons, config.correction_comparisons, config.preference_comparisons)
     counts = (len(buffer.demonstrated), 2 * len(buffer.corrected), len(buffer.better))
     total = sum(w * c for w, c in zip(weights, counts, strict=True))
@@ -164,9 +168,9 @@ def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig
                             mend="lower the learning rate, or train again with another seed")
 
 
-def _evaluate(networks: Networks, fresh: RankingsBuffer) -> tuple[LossTerms, float]:
+def _evaluate(networks: Networks, fresh: RankingsBuffer, rationality: float) -> tuple[LossTerms, float]:
     """Losses on fresh alternatives, and the share of comparisons that the members' mean decides rightly."""
-    comparer = Comparer(networks, fresh)
+    comparer = Comparer(networks, fresh, rationality)
     with torch.no_grad():
         alternatives = comparer.all_alternatives()
         terms = comparer.losses(alternatives)
