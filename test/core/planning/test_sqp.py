@@ -1,0 +1,113 @@
+"""The search from one start: curvature, descent, and its optimum against an independent solver."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import LinearConstraint, NonlinearConstraint, minimize
+
+from unifeed_ros.core.planning.check import motion_bounds
+from unifeed_ros.core.planning.config import PlannerConfig
+from unifeed_ros.core.planning.problem import PlanningProblem
+from unifeed_ros.core.planning.sqp import iterations, merit, updated_curvature
+from unifeed_ros.core.planning.starts import StartRepair, straight_line
+from unifeed_ros.core.planning.subproblem import Subproblem
+
+
+def make_problem(case, reward, config, duration=3.0):
+    bounds = motion_bounds(case.robot, case.scene, case.start, case.goal, config.arm_radius)
+    return PlanningProblem(case.robot, reward, case.start, case.goal, duration, bounds, config)
+
+
+def _search(problem, config):
+    first = problem.evaluate(StartRepair(problem)(straight_line(problem)))
+    return [first, *iterations(problem, Subproblem(problem), first, config)]
+
+
+@given(seed=st.integers(0, 10_000), bend=st.floats(-5.0, 5.0))
+def test_curvature_stays_positive_definite(seed, bend):
+    rng = np.random.default_rng(seed)
+    blocks = np.tile(np.eye(3), (4, 1, 1))
+    for _ in range(5):
+        change = rng.normal(scale=0.1, size=(4, 3))
+        blocks = updated_curvature(blocks, change, bend * change + rng.normal(scale=0.1, size=(4, 3)))
+        assert np.linalg.eigvalsh(blocks).min() > 0
+
+
+def test_curvature_meets_the_secant_where_the_cost_is_convex():
+    rng = np.random.default_rng(0)
+    change = rng.normal(size=(4, 3))
+    change[0] = 0.0  # did not move: keeps its curvature
+    blocks = updated_curvature(np.tile(np.eye(3), (4, 1, 1)), change, 3.0 * change)
+    np.testing.assert_allclose(np.einsum("kij,kj->ki", blocks, change), 3.0 * change, atol=1e-9)
+    np.testing.assert_array_equal(blocks[0], np.eye(3))
+
+
+def test_merit_never_rises_and_linear_limits_hold(case, rewards):
+    config = PlannerConfig()
+    problem = make_problem(case, rewards["network"](3), config)
+    search = _search(problem, config)
+    merits = [merit(at) for at in search]
+    assert (np.diff(merits) <= 0).all() and merits[-1] < merits[0]
+    assert all(np.abs(problem.rate_shares(at.waypoints)).max() < 1.006 for at in search)
+    assert all((at.waypoints >= case.robot.lower - 1e-9).all() for at in search)
+    assert search[-1].violation < 1e-4
+
+
+def test_smoothest_motion_is_the_linear_systems_solution(case):
+    """Without a reward and with time enough, no limit is active and the optimum of the quadratic cost is known."""
+    config = PlannerConfig()
+    problem = make_problem(case, None, config, duration=6.0)
+    hessian = np.kron(problem.roughness_hessian, np.diag(problem.roughness_weights))
+    zero = problem.complete(np.zeros((len(problem.free), case.robot.n)))
+    exact = np.linalg.solve(hessian, -problem.evaluate(zero).roughness_gradient.ravel())
+    found = _search(problem, config)[-1]
+    optimal = problem.evaluate(problem.complete(exact.reshape(len(problem.free), -1)))
+    assert np.abs(problem.rate_shares(optimal.waypoints)).max() < 1.0
+    assert optimal.violation == 0.0
+    assert found.cost == pytest.approx(optimal.cost, abs=config.tolerance * problem.count)
+    np.testing.assert_allclose(found.waypoints, optimal.waypoints, atol=0.02)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_optimum_is_as_good_as_slsqps(panda, rewards, seed):
+    config = PlannerConfig(waypoints=9, tolerance=1e-6, max_iterations=150)
+    problem = make_problem(panda, rewards["network"](seed), config)
+    found = _search(problem, config)[-1]
+    shape = (len(problem.free), panda.robot.n)
+    at = _Remembered(problem, shape)
+    zero = problem.rate_shares(problem.complete(np.zeros(shape))).ravel()
+    rates = np.kron(problem.rates[:, problem.free], np.eye(panda.robot.n)) / problem.rate_limits.ravel()[:, None]
+    reference = minimize(
+        lambda x: at(x).cost, straight_line(problem)[problem.free].ravel(), method="SLSQP",
+        jac=lambda x: (at(x).reward_gradients + at(x).roughness_gradient).ravel(),
+        bounds=list(zip(np.tile(problem.bounds.lower, shape[0]), np.tile(problem.bounds.upper, shape[0]), strict=True)),
+        constraints=[LinearConstraint(rates, -1.0 - zero, 1.0 - zero),
+                     NonlinearConstraint(lambda x: at(x).clearances.ravel(), 0.0, np.inf, jac=at.clearance_jacobian)],
+        options={"maxiter": 150, "ftol": 1e-7})
+    assert at(reference.x).violation < 1e-5
+    assert found.violation < 1e-5
+    print(f"SQP {found.cost:.5f}, SLSQP {reference.fun:.5f}")
+    assert found.cost <= reference.fun + 2e-3 * abs(reference.fun)
+
+
+class _Remembered:
+    """The problem at a flat vector, evaluated once for each."""
+
+    def __init__(self, problem, shape):
+        self.problem, self.shape, self.last = problem, shape, None
+
+    def __call__(self, x):
+        if self.last is None or not np.array_equal(self.last[0], x):
+            self.last = (x.copy(), self.problem.evaluate(self.problem.complete(x.reshape(self.shape))))
+        return self.last[1]
+
+    def clearance_jacobian(self, x):
+        jacobians = self(x).clearance_jacobians
+        m, points, n = jacobians.shape
+        dense = np.zeros((m, points, m, n))
+        for k in range(m):
+            dense[k, :, k] = jacobians[k]
+        return dense.reshape(m * points, m * n)
