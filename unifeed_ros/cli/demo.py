@@ -19,6 +19,8 @@ from unifeed_ros.nodes.conversions import trajectory_from_msg
 from unifeed_ros.nodes.table import SessionSetup, node_table
 from unifeed_ros.simulation.tasks import TrueTask, Yardstick, measure
 
+FAULT_S = 6.0
+"""Time that a fault may last before the demo gives up: the simulated person presses reset sooner [s]."""
 PHASES = {value: name.lower() for name, value in vars(LessonState).items() if name.isupper() and isinstance(value, int)}
 
 
@@ -77,7 +79,8 @@ class _Lesson:
 
     def watch(self, processes: NodeProcesses, timeout: float) -> tuple[bool, str]:
         """Wait for the end; say whether it was a good one, and why not."""
-        deadline = time.monotonic() + timeout
+        sound = time.monotonic()
+        deadline = sound + timeout
         while time.monotonic() < deadline:
             self._monitor.spin(0.2)
             self._print_news()
@@ -86,7 +89,9 @@ class _Lesson:
                 self._monitor.stop_arm()
                 return False, f"{name} died (exit status {code}): {processes.log_tail(name, 1) or 'see its log'}"
             lesson = self._monitor.lesson
-            if lesson.phase == LessonState.FAULT:
+            if lesson.phase != LessonState.FAULT:
+                sound = time.monotonic()
+            elif time.monotonic() - sound > FAULT_S:
                 return False, lesson.message
             if lesson.phase == LessonState.READY and len(self._monitor.interactions) >= len(self._letters):
                 return True, "every interaction was completed"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -39,7 +41,7 @@ class CaptureNode(UnifeedNode):
     def __init__(self) -> None:
         super().__init__("capture")
         self._robot = self.load_robot()
-        self._context = self.load_scene().context()
+        self._task_context = self.load_scene().context()
         self._frame = self._robot.config.base_frame
         self._detector = ContactDetector(self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig))
         self._capture = FeedbackCapture(self._robot, settings(self, "capture", CaptureConfig))
@@ -100,9 +102,9 @@ class CaptureNode(UnifeedNode):
         if isinstance(captured, CapturedDemonstration):
             if captured.trajectory is None:
                 return []
-            return [Demonstration(id=self._name("demonstration"), robot=robot, context=self._context,
+            return [Demonstration(id=self._name("demonstration"), robot=robot, context=self._task_context,
                                   trajectory=captured.trajectory)]
-        return [Correction(id=self._name("correction"), robot=robot, context=self._context, planned=span.planned,
+        return [Correction(id=self._name("correction"), robot=robot, context=self._task_context, planned=span.planned,
                            corrected=span.corrected, span=span.span) for span in captured.corrections]
 
     def _name(self, kind: str) -> str:
@@ -110,10 +112,10 @@ class CaptureNode(UnifeedNode):
         return f"{kind}-{self._taken[kind]}"
 
 
-def main() -> None:
+def main() -> int:
     """Run the node `capture`."""
-    run_node(CaptureNode)
+    return run_node(CaptureNode)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -53,15 +53,19 @@ class UnifeedNode(Node):
     def say(self, level: bytes, message: str, **values: object) -> None:
         """Set the status that goes out on /diagnostics; a change of message is logged too."""
         if message != self._status.message:
-            log = self.get_logger()
-            (log.error if level == ERROR else log.warning if level == WARN else log.info)(message)
+            self._log(level, message)
         self._status.level, self._status.message = level, message
         if values:
             self._status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
 
-    def now_steady(self) -> float:
-        """Read the steady clock [s]."""
-        return self.steady.now().nanoseconds * 1e-9
+    def _log(self, level: bytes, message: str) -> None:
+        """Log; rclpy allows one severity a place in the code."""
+        if level == ERROR:
+            self.get_logger().error(message)
+        elif level == WARN:
+            self.get_logger().warning(message)
+        else:
+            self.get_logger().info(message)
 
     def refresh_status(self) -> None:
         """Update the status just before it goes out; nodes with figures override this."""

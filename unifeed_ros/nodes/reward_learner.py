@@ -1,24 +1,24 @@
-"""Learns the reward from everything that was taught (paper eqs. M1-M9); a worker trains, the node goes on answering."""
+"""Learns the reward from everything that was taught (paper eqs. M1-M9); a worker process trains, the node goes on."""
 
 from __future__ import annotations
 
-import threading
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
 from unifeed_msgs.msg import Feedback, PreferenceQuery, RewardStatus, TaskContext
 from unifeed_msgs.srv import AnswerQuery, EvaluateReward, ListFeedback, SelectQuery, TrainReward, UndoFeedback
-from unifeed_ros.core.errors import InputError, TrainingError, UnifeedError
+from unifeed_ros.core.errors import InputError, UnifeedError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
-from unifeed_ros.core.feedback.items import Preference
+from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.queries import select_query, vary_trajectory
-from unifeed_ros.core.reward.training import TrainingConfig, TrainingResult, train_reward
+from unifeed_ros.core.reward.training import TrainingConfig, TrainingResult
 from unifeed_ros.core.types import Context, Trajectory
 from unifeed_ros.nodes.conversions import (
     context_from_msg,
@@ -34,6 +34,7 @@ from unifeed_ros.nodes.conversions import (
 from unifeed_ros.nodes.node import ERROR, OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
+from unifeed_ros.nodes.training_worker import TrainingWorker
 
 MESSAGE_KINDS = {"demonstration": Feedback.DEMONSTRATION, "correction": Feedback.CORRECTION,
                  "preference": Feedback.PREFERENCE}
@@ -58,9 +59,8 @@ class RewardLearnerNode(UnifeedNode):
 
     def __init__(self) -> None:
         super().__init__("reward_learner")
-        torch.set_num_threads(1)
         self._robot = self.load_robot()
-        self._context = self.load_scene().context()
+        self._task_context = self.load_scene().context()
         self._training = settings(self, "training", TrainingConfig)
         self._questions = settings(self, "query", QueryConfig)
         self._rng = np.random.default_rng(self._questions.seed)
@@ -72,7 +72,7 @@ class RewardLearnerNode(UnifeedNode):
         self._queries_asked = 0
         self._time = 0.0
         self._busy = False
-        self._progress = 0.0
+        self._worker = TrainingWorker()
         self._connect()
         self.say(OK, "nothing taught yet")
         self._publish_status_message()
@@ -82,7 +82,8 @@ class RewardLearnerNode(UnifeedNode):
         self._statuses = self.advertise("reward_status")
         self._feedback = self.advertise("feedback")
         self.listen("feedback", self._on_feedback)
-        self.create_service(TrainReward, "train_reward", self._on_train)
+        # a group of its own: while the coroutine waits, its group runs nothing else
+        self.create_service(TrainReward, "train_reward", self._on_train, callback_group=ReentrantCallbackGroup())
         self.create_service(EvaluateReward, "evaluate_reward", self._answering(self._evaluate))
         self.create_service(SelectQuery, "select_query", self._answering(self._select))
         self.create_service(AnswerQuery, "answer_query", self._answering(self._answer))
@@ -122,10 +123,11 @@ class RewardLearnerNode(UnifeedNode):
         if self._busy:
             response.success, response.message, response.version = False, "a training is under way: ask again", self._version
             return response
-        self._busy, self._progress = True, 0.0
+        self._busy = True
         self._publish_status_message()
         done: Future = Future(executor=self.executor)
-        threading.Thread(target=self._train, args=(request.from_scratch, done), name="training").start()
+        self._worker.train(done, self._dataset, self._robot, self._training, version=self._version + 1,
+                           seed=self._questions.seed, previous=None if request.from_scratch else self._model)
         try:
             self._finish(await done, response)
         except UnifeedError as error:
@@ -135,22 +137,6 @@ class RewardLearnerNode(UnifeedNode):
             self._busy = False
             self._publish_status_message()
         return response
-
-    def _train(self, from_scratch: bool, done: Future) -> None:
-        """Train in a thread of its own; whatever happens reaches the service's answer."""
-        torch.set_num_threads(1)
-        try:
-            done.set_result(train_reward(
-                self._dataset, self._robot, self._training, version=self._version + 1, seed=self._questions.seed,
-                previous=None if from_scratch else self._model, on_progress=self._on_progress))
-        except UnifeedError as error:
-            done.set_exception(error)
-        except Exception as error:  # a fault of the training must not leave the service without an answer
-            self.get_logger().error(f"training failed: {error!r}")
-            done.set_exception(TrainingError("training failed", got=repr(error), mend="see the log"))
-
-    def _on_progress(self, progress: float) -> None:
-        self._progress = progress
 
     def _finish(self, result: TrainingResult, response: TrainReward.Response) -> None:
         self._model, self._version = result.ensemble, result.ensemble.version
@@ -220,7 +206,7 @@ class RewardLearnerNode(UnifeedNode):
         items = self._dataset.items
         response.ids = [item.id for item in items]
         response.kinds = [MESSAGE_KINDS[item.kind] for item in items]
-        response.summaries = [item.summary for item in items]
+        response.summaries = [_summary(item) for item in items]
         return f"{len(items)} inputs"
 
     def _past_motions(self) -> list[Trajectory]:
@@ -230,7 +216,7 @@ class RewardLearnerNode(UnifeedNode):
         return motions
 
     def _context_of(self, msg: TaskContext) -> Context:
-        return context_from_msg(msg) if msg.task else self._context
+        return context_from_msg(msg) if msg.task else self._task_context
 
     def _require_model(self) -> RewardEnsemble:
         if self._model is None:
@@ -246,15 +232,28 @@ class RewardLearnerNode(UnifeedNode):
         failed = self._status.level == ERROR
         self._statuses.publish(RewardStatus(
             header=header(self._time, self._robot.config.base_frame), version=self._version, demonstrations=demonstrations,
-            corrections=corrections, preferences=preferences, progress=float(self._progress) if self._busy else 1.0,
+            corrections=corrections, preferences=preferences, progress=self._worker.progress if self._busy else 1.0,
             state=RewardStatus.TRAINING if self._busy else RewardStatus.FAILED if failed else RewardStatus.IDLE,
             message=self._status.message))
 
+    def close(self) -> None:
+        """End the worker."""
+        self._worker.close()
 
-def main() -> None:
+
+def _summary(item: FeedbackItem) -> str:
+    """Say in a few words what an input is."""
+    if isinstance(item, Demonstration):
+        return f"demonstration of {item.trajectory.duration:.1f} s"
+    if isinstance(item, Correction):
+        return f"correction from {item.span[0]:.1f} s to {item.span[1]:.1f} s of the motion"
+    return f"preference, ranks {list(item.ranks)}" if item.ranks else "preference: neither"
+
+
+def main() -> int:
     """Run the node `reward_learner`."""
-    run_node(RewardLearnerNode)
+    return run_node(RewardLearnerNode)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

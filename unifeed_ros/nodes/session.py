@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import sys
 import threading
 import time
 import uuid
@@ -293,11 +294,11 @@ class SessionNode(UnifeedNode):
         ready = time.monotonic() - ended
         self._plan = planned.trajectory
         self._return_to_start()
-        self._taught.append(LETTERS[kind])
         self._enter(LessonState.SHOWING, "showing what was learned")
         self._drain_feedback()
         result = self._executed(self._plan, "show")
         self._shown.append(result.executed)
+        self._taught.append(LETTERS[kind])
         self._interactions.publish(Interaction(
             header=self._header(), index=len(self._taught), kind=kind, feedback_ids=[item.id for item in items],
             model_version=trained.version, train_s=trained.seconds, plan_s=planned.seconds, feedback_to_motion_s=ready,
@@ -455,10 +456,10 @@ class SessionNode(UnifeedNode):
         self._worker.join(timeout=1.0)
 
 
-def main() -> None:
+def main() -> int:
     """Run the node `session`."""
-    run_node(SessionNode)
+    return run_node(SessionNode)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

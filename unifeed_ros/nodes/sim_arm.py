@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections import deque
 from dataclasses import dataclass
@@ -29,9 +30,12 @@ class SimulationConfig:
     seed: int = 0
     """Seed of sensor noise and torque bias."""
     command_timeout: float = 0.1
-    """Simulated time without a command after which the arm holds in gravity compensation [s]."""
+    """Time without a command after which the arm holds in gravity compensation [s]."""
     hand_timeout: float = 0.1
     """Simulated time without a hand wrench after which the hand counts as gone [s]."""
+    patience: float = 0.004
+    """Simulated time that the physics runs on one command before it waits for the next, so that a busy machine makes
+    the simulation slow and not unstable [s]; 0: it never waits, as a real arm does not."""
     largest_lag: float = 0.05
     """Simulated time that is made up for at once when the machine was busy; more is dropped [s]."""
 
@@ -39,8 +43,8 @@ class SimulationConfig:
         """Reject speeds and times that cannot be kept."""
         if not 0.05 <= self.speed <= 20.0:
             raise ConfigError("speed of the simulation", expected="0.05 to 20", got=self.speed)
-        if min(self.command_timeout, self.hand_timeout, self.largest_lag) <= 0.0:
-            raise ConfigError("timeouts of the simulation", expected="> 0 s")
+        if min(self.command_timeout, self.hand_timeout, self.largest_lag) <= 0.0 or self.patience < 0.0:
+            raise ConfigError("timeouts of the simulation", expected="> 0 s, patience >= 0 s")
 
 
 class SimArmNode(UnifeedNode):
@@ -55,10 +59,11 @@ class SimArmNode(UnifeedNode):
         self._arm.reset(self._robot.inverse_kinematics(scene.start, scene.axis))
         self._order = JointOrder(self._robot.joint_names)
         self._stride = max(1, math.ceil(self._config.speed))
-        self._commanded_at = self._pushed_at = -math.inf
+        self._commanded_at = self._pushed_at = self._answered = -math.inf
         self._obeying = self._pushed = False
         self._began: float | None = None
-        self._dropped = 0.0
+        self._slipped = 0.0
+        self._sent: deque[tuple[float, float]] = deque(maxlen=500)
         self._latencies: deque[float] = deque(maxlen=20000)
         self._steps = 0
         self._connect()
@@ -77,9 +82,17 @@ class SimArmNode(UnifeedNode):
         except InputError as error:
             self.say(WARN, f"command refused, the arm holds: {error}")
             return
-        self._latencies.append((self._arm.time - seconds(msg.header.stamp)) / self._config.speed)
+        self._answered = seconds(msg.header.stamp)
+        self._measure_latency(self._answered)
         self._arm.command(torque)
-        self._commanded_at, self._obeying = self._arm.time, True
+        self._commanded_at, self._obeying = time.monotonic(), True
+
+    def _measure_latency(self, answered: float) -> None:
+        """Take the wall-clock time from sending a state to getting the command that answers it."""
+        while self._sent and self._sent[0][0] < answered - 1e-6:
+            self._sent.popleft()
+        if self._sent and abs(self._sent[0][0] - answered) < 1e-6:
+            self._latencies.append(time.monotonic() - self._sent.popleft()[1])
 
     def _on_hand(self, msg: WrenchStamped) -> None:
         f, t = msg.wrench.force, msg.wrench.torque
@@ -89,23 +102,36 @@ class SimArmNode(UnifeedNode):
             self._pushed_at, self._pushed = self._arm.time, True
 
     def _tick(self) -> None:
+        speed = self._config.speed
         now = time.monotonic()
         if self._began is None:
-            self._began = now - self._arm.time / self._config.speed
-        due = (now - self._began) * self._config.speed - self._arm.time
+            self._began = now - self._arm.time / speed
+        due = (now - self._began) * speed - self._arm.time
         if due > self._config.largest_lag:
-            self._dropped += due - self._config.largest_lag
-            self._began += (due - self._config.largest_lag) / self._config.speed
+            self._slip(due - self._config.largest_lag)
             due = self._config.largest_lag
         for _ in range(int(due / 0.001)):
+            if self._waits():
+                break
             self._step()
 
-    def _step(self) -> None:
-        arm, config = self._arm, self._config
-        if self._obeying and arm.time - self._commanded_at > config.command_timeout:
-            arm.command(None)
+    def _slip(self, simulated: float) -> None:
+        """Let simulated time fall behind the clock."""
+        self._slipped += simulated
+        self._began += simulated / self._config.speed
+
+    def _waits(self) -> bool:
+        """Say whether the physics waits for the controller's next command."""
+        if not self._obeying:
+            return False
+        if time.monotonic() - self._commanded_at > self._config.command_timeout:
+            self._arm.command(None)
             self._obeying = False
-        if self._pushed and arm.time - self._pushed_at > config.hand_timeout:
+        return self._obeying and 0.0 < self._config.patience <= self._arm.time - self._answered
+
+    def _step(self) -> None:
+        arm = self._arm
+        if self._pushed and arm.time - self._pushed_at > self._config.hand_timeout:
             arm.push(np.zeros(6))
             self._pushed = False
         arm.step()
@@ -117,6 +143,7 @@ class SimArmNode(UnifeedNode):
 
     def _publish(self) -> None:
         state = self._arm.state()
+        self._sent.append((state.time, time.monotonic()))
         names = self._robot.joint_names
         self._states.publish(joint_state_msg(state.time, names, position=state.positions, velocity=state.velocities))
         self._torques.publish(joint_state_msg(state.time, names, effort=self._arm.external_torque()))
@@ -125,15 +152,15 @@ class SimArmNode(UnifeedNode):
         """Say whether commands come, and how late they are."""
         latencies = np.array(self._latencies) if self._latencies else np.array([np.nan])
         message = "obeys joint_command" if self._obeying else "holds in gravity compensation: no command"
-        self.say(OK, message, simulated_s=f"{self._arm.time:.3f}", dropped_s=f"{self._dropped:.3f}",
+        self.say(OK, message, simulated_s=f"{self._arm.time:.3f}", slipped_s=f"{self._slipped:.3f}",
                  latency_p50_ms=f"{1e3 * np.percentile(latencies, 50):.3f}",
                  latency_p99_ms=f"{1e3 * np.percentile(latencies, 99):.3f}", latency_max_ms=f"{1e3 * latencies.max():.3f}")
 
 
-def main() -> None:
+def main() -> int:
     """Run the node `sim_arm`."""
-    run_node(SimArmNode)
+    return run_node(SimArmNode)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

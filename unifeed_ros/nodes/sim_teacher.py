@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from enum import Enum, auto
 
@@ -35,6 +36,10 @@ class TeacherConfig:
     """Seed of this person."""
     attempts: int = 3
     """Tries at an input that did not come through (a push that changed nothing), before the person gives up."""
+    resets: int = 2
+    """Times that the person presses reset after a fault, before they give up."""
+    patience: float = 2.0
+    """Time that the person looks at a fault before they press reset [s]."""
 
     def __post_init__(self) -> None:
         """Refuse letters that mean nothing."""
@@ -73,6 +78,8 @@ class SimTeacherNode(UnifeedNode):
         self._query: PreferenceQuery | None = None
         self._step, self._tries, self._done_before = _Step.WAIT, 0, 0
         self._answer: Future | None = None
+        self._resets_left = self._config.resets
+        self._fault_seen: float | None = None
         self._pushing = False
         self._connect()
 
@@ -83,7 +90,7 @@ class SimTeacherNode(UnifeedNode):
         self.listen("trajectory", self._on_trajectory)
         self.listen("lesson_state", self._on_lesson)
         self.listen("preference_query", self._on_query)
-        names = [*BUTTONS.values(), "finish_demonstration"]
+        names = [*BUTTONS.values(), "finish_demonstration", "reset"]
         self._buttons = {name: self.create_client(Trigger, name) for name in names}
         self._answers = self.create_client(AnswerQuery, "answer_query")
         self.create_timer(0.05, self._tick, clock=self.steady)
@@ -139,8 +146,23 @@ class SimTeacherNode(UnifeedNode):
         self._pushing = pushing
 
     def _tick(self) -> None:
+        if self._lesson.phase == LessonState.FAULT:
+            self._recover()
+            return
+        self._fault_seen = None
         {_Step.WAIT: self._wait, _Step.BUTTON: self._press, _Step.GUIDE: self._guide, _Step.WATCH: self._watch,
          _Step.JUDGE: self._judge, _Step.DONE: lambda: None}[self._step]()
+
+    def _recover(self) -> None:
+        """Press reset after a fault, and begin the input anew."""
+        now = self.steady.now().nanoseconds * 1e-9
+        self._fault_seen = self._fault_seen or now
+        if self._resets_left > 0 and now - self._fault_seen > self._config.patience:
+            self._push(np.zeros(6))
+            self._resets_left -= 1
+            self.say(WARN, f"reset after a fault: {self._lesson.message}")
+            self._buttons["reset"].call_async(Trigger.Request())
+            self._leave()
 
     def _wait(self) -> None:
         """Choose the next input once the lesson is ready."""
@@ -211,10 +233,10 @@ class SimTeacherNode(UnifeedNode):
         self._step = _Step.WAIT
 
 
-def main() -> None:
+def main() -> int:
     """Run the node `sim_teacher`."""
-    run_node(SimTeacherNode)
+    return run_node(SimTeacherNode)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

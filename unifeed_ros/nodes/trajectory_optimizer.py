@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import threading
 
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
 from unifeed_msgs.action import OptimizeTrajectory
@@ -20,6 +23,9 @@ from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
 
+NICENESS = 5
+"""Priority given up, so that planning never delays the control loop on a machine with few cores."""
+
 
 class TrajectoryOptimizerNode(UnifeedNode):
     """Answer `optimize_trajectory` with the newest reward model."""
@@ -28,6 +34,7 @@ class TrajectoryOptimizerNode(UnifeedNode):
 
     def __init__(self) -> None:
         super().__init__("trajectory_optimizer")
+        os.nice(NICENESS)
         self._robot = self.load_robot()
         self._scene = self.load_scene()
         self._config = settings(self, "planner", PlannerConfig)
@@ -39,7 +46,8 @@ class TrajectoryOptimizerNode(UnifeedNode):
         self.listen("reward_model", self._on_model)
         self._server = ActionServer(
             self, OptimizeTrajectory, "optimize_trajectory", self._on_execute,
-            goal_callback=lambda _: GoalResponse.ACCEPT, cancel_callback=lambda _: CancelResponse.ACCEPT)
+            goal_callback=lambda _: GoalResponse.ACCEPT, cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=ReentrantCallbackGroup())  # while a coroutine waits, its group runs nothing else
         self.say(OK, "no reward model yet: the smoothest motion is planned")
 
     def _on_model(self, msg: RewardModel) -> None:
@@ -127,10 +135,10 @@ class TrajectoryOptimizerNode(UnifeedNode):
             result.model_version = model.version
 
 
-def main() -> None:
+def main() -> int:
     """Run the node `trajectory_optimizer`."""
-    run_node(TrajectoryOptimizerNode)
+    return run_node(TrajectoryOptimizerNode)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,0 +1,97 @@
+"""Trains in a process of its own: a thread would keep the interpreter busy, and the node could not answer."""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import signal
+from concurrent.futures import Future as PoolFuture
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing.sharedctypes import Synchronized
+from typing import Any
+
+from rclpy.task import Future
+
+from unifeed_ros.core.errors import TrainingError, UnifeedError
+from unifeed_ros.core.feedback.dataset import FeedbackDataset
+from unifeed_ros.core.reward.training import TrainingConfig, TrainingResult, train_reward
+from unifeed_ros.core.robot import RobotConfig, RobotModel
+
+PR_SET_PDEATHSIG = 1
+NICENESS = 10
+"""Priority given up, so that training never delays the control loop on a machine with few cores."""
+
+_progress: Synchronized[float] | None = None
+
+
+class TrainingWorker:
+    """One process that trains, started at once so that the first training does not wait for it."""
+
+    def __init__(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._shared = context.Value("d", 0.0)
+        self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_prepare, initargs=(self._shared,))
+        self._pool.submit(_nothing)
+
+    @property
+    def progress(self) -> float:
+        """Share of the training under way that is done, 0 to 1."""
+        return float(self._shared.value)
+
+    def train(self, done: Future, dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig,
+              **arguments: Any) -> None:  # noqa: ANN401
+        """Start a training.
+
+        Args:
+            done: Gets the TrainingResult, or a TrainingError whatever went wrong.
+            dataset: What was taught.
+            robot: The arm.
+            config: Settings.
+            **arguments: The rest of train_reward's arguments.
+        """
+        self._shared.value = 0.0
+        try:
+            started = self._pool.submit(_train, dataset, robot.config, config, arguments)
+        except RuntimeError as error:
+            done.set_exception(TrainingError("the training process ended", got=str(error), mend="start the node again"))
+            return
+        started.add_done_callback(lambda finished: _hand_over(finished, done))
+
+    def close(self) -> None:
+        """End the process, also in the middle of a training."""
+        for process in list((self._pool._processes or {}).values()):
+            process.kill()
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _hand_over(finished: PoolFuture[TrainingResult], done: Future) -> None:
+    error = finished.exception() if not finished.cancelled() else TrainingError("the training was canceled")
+    if error is None:
+        done.set_result(finished.result())
+    elif isinstance(error, UnifeedError):
+        done.set_exception(error)
+    else:
+        done.set_exception(TrainingError("the training failed", got=repr(error), mend="see the log"))
+
+
+def _prepare(progress: Synchronized[float]) -> None:
+    """Set the process up: it ends with its parent, and leaves Ctrl-C to it."""
+    global _progress
+    _progress = progress
+    os.nice(NICENESS)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def _nothing() -> None:
+    """Make the pool start its process."""
+
+
+def _train(dataset: FeedbackDataset, robot: RobotConfig, config: TrainingConfig, arguments: dict[str, Any]) -> TrainingResult:
+    return train_reward(dataset, RobotModel(robot), config, on_progress=_set_progress, **arguments)
+
+
+def _set_progress(progress: float) -> None:
+    if _progress is not None:
+        _progress.value = progress
