@@ -14,7 +14,9 @@ setup:
 	@command -v $(PYTHON) > /dev/null || { echo "setup: no $(PYTHON): sudo apt install python3" >&2; exit 2; }
 	@$(PYTHON) scripts/setup.py
 
+# The newest demo is in out/demo; an older one keeps its recording under the name of its time.
 demo: setup
+	@if [ -e out/demo ]; then mv out/demo out/demo-$$(date -r out/demo +%Y%m%d-%H%M%S); fi
 	$(BIN)/unifeed demo --out out/demo $(DEMO_ARGS)
 
 test: setup
