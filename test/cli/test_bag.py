@@ -47,7 +47,7 @@ def test_info_names_topics_rates_and_marks(run, bag, capsys):
 def test_info_as_json(run, bag, capsys):
     assert run("info", bag, "--json") == 0
     values = json.loads(capsys.readouterr().out)
-    assert values["messages"] == 11
+    assert values["message_count"] == 11
     assert values["topics"][0]["rate"] == pytest.approx(10.0)
 
 

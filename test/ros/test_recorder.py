@@ -97,7 +97,7 @@ def test_ending_while_messages_stream_in_closes_the_bag(start_recorder, start_pr
     assert seconds < 3.0
     assert arm.returncode is None
     assert_sound(tmp_path / "bag")
-    assert bag_info(tmp_path / "bag").messages > 500
+    assert bag_info(tmp_path / "bag").message_count > 500
 
 
 def test_messages_lost_while_the_process_was_stopped_are_counted(

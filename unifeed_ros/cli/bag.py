@@ -84,12 +84,13 @@ def _info_lines(info: BagInfo) -> list[str]:
         f"files     {', '.join(info.files)} ({info.size / MEBIBYTE:.1f} MiB)",
         f"start     {_clock_time(info.start)}",
         f"duration  {info.duration:.3f} s",
-        f"messages  {info.messages}",
+        f"messages  {info.message_count}",
         "",
     ]
     width = max((len(t.name) for t in info.topics), default=5)
     lines.append(f"{'topic':{width}}  {'messages':>9}  {'rate [Hz]':>9}  {'longest gap [s]':>15}  type")
-    lines += [f"{t.name:{width}}  {t.messages:9d}  {t.rate:9.1f}  {t.longest_gap:15.4f}  {t.type}" for t in info.topics]
+    lines += [f"{t.name:{width}}  {t.message_count:9d}  {t.rate:9.1f}  {t.longest_gap:15.4f}  {t.type}"
+              for t in info.topics]
     if info.marks:
         lines += ["", "marks [s from the start]"]
         lines += [f"{(time - info.start) * 1e-9:10.3f}  {text}" for time, text in info.marks]

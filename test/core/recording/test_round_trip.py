@@ -62,9 +62,9 @@ def test_info_counts_rates_gaps_and_marks(tmp_path, topics, string_message):
         assert bag.counts == {"/words": 4, "/latched": 0, "/joint_states": 0}
     info = bag_info(tmp_path / "bag")
     words = next(t for t in info.topics if t.name == "/words")
-    assert (words.messages, words.rate, words.longest_gap) == (4, pytest.approx(0.3), pytest.approx(8.0))
+    assert (words.message_count, words.rate, words.longest_gap) == (4, pytest.approx(0.3), pytest.approx(8.0))
     assert info.marks == ((START, "here"),)
-    assert (info.messages, info.start, info.duration) == (4, START, pytest.approx(10.0))
+    assert (info.message_count, info.start, info.duration) == (4, START, pytest.approx(10.0))
     assert len(info.topics) == 3
 
 
@@ -82,7 +82,7 @@ def test_an_empty_bag_is_a_bag(make_bag):
     folder = make_bag(count=0)
     assert problems(folder) == []
     assert list(read_bag(folder)) == []
-    assert bag_info(folder).messages == 0
+    assert bag_info(folder).message_count == 0
     with Reader(folder) as reader:
         assert reader.message_count == 0
 

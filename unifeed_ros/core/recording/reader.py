@@ -49,7 +49,7 @@ class TopicInfo:
     hash: str
     """Hash of the type description."""
 
-    messages: int
+    message_count: int
     """Number of messages."""
 
     rate: float
@@ -78,7 +78,7 @@ class BagInfo:
     duration: float
     """From the first to the last message [s]."""
 
-    messages: int
+    message_count: int
     """Number of messages."""
 
     topics: tuple[TopicInfo, ...]
@@ -155,14 +155,14 @@ def bag_info(folder: Path) -> BagInfo:
     end = max((int(t[-1]) for t in filled), default=0)
     return BagInfo(
         folder=folder, files=tuple(p.name for p in paths), size=sum(p.stat().st_size for p in paths), start=start,
-        duration=(end - start) * 1e-9, messages=sum(len(t) for t in filled),
+        duration=(end - start) * 1e-9, message_count=sum(len(t) for t in filled),
         topics=tuple(_topic_info(name, *types[name], joined[name]) for name in sorted(types)), marks=tuple(marks))
 
 
 def _topic_info(name: str, type_name: str, type_hash: str, times: NDArray[np.uint64]) -> TopicInfo:
     gaps = np.diff(times.astype(np.int64)) * 1e-9
     span = float(gaps.sum())
-    return TopicInfo(name=name, type=type_name, hash=type_hash, messages=len(times),
+    return TopicInfo(name=name, type=type_name, hash=type_hash, message_count=len(times),
                      rate=len(gaps) / span if span > 0 else 0.0, longest_gap=float(gaps.max(initial=0.0)))
 
 
