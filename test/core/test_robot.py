@@ -137,7 +137,8 @@ def test_a_robot_that_cannot_be_built_says_why(robot, tmp_path):
 
 @pytest.mark.parametrize(("changes", "text"), [
     ({"joints": ()}, "joints"), ({"stiffness": (1.0,)}, "stiffness"),
-    ({"velocity_limits": (-1.0,) * 6}, "velocity_limits"), ({"damping": (float("nan"),) * 6}, "damping"), ({"friction": ("much",) * 6}, "much"),
+    ({"velocity_limits": (-1.0,) * 6}, "velocity_limits"),
+    ({"damping": (float("nan"),) * 6}, "damping"), ({"friction": ("much",) * 6}, "much"),
 ])
 def test_settings_that_cannot_work_are_refused(changes, text):
     config = load_robot(ROBOTS / "ur10.yaml")

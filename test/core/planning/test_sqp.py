@@ -22,7 +22,7 @@ def make_problem(case, reward, config, duration=3.0):
 
 
 def _search(problem, config):
-    first = problem.evaluate(StartRepair(problem)(straight_line(problem)))
+    first = problem.evaluate(StartRepair(problem).line)
     return [first, *iterations(problem, Subproblem(problem), first, config)]
 
 
@@ -89,7 +89,6 @@ def test_optimum_is_as_good_as_slsqps(panda, rewards, seed):
         options={"maxiter": 150, "ftol": 1e-7})
     assert at(reference.x).violation < 1e-5
     assert found.violation < 1e-5
-    print(f"SQP {found.cost:.5f}, SLSQP {reference.fun:.5f}")
     assert found.cost <= reference.fun + 2e-3 * abs(reference.fun)
 
 

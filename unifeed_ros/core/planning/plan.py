@@ -13,7 +13,7 @@ from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.problem import PlanningProblem, StateReward
 from unifeed_ros.core.planning.sampling import sample_spline, shortest_duration
 from unifeed_ros.core.planning.search import PlanProgress, Search, Status
-from unifeed_ros.core.planning.starts import StartRepair, start_motions, straight_line
+from unifeed_ros.core.planning.starts import StartRepair, start_motions
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.scene import Scene
 from unifeed_ros.core.types import Array, Trajectory, frozen_array
@@ -128,10 +128,8 @@ def _feasible_problem(robot: RobotModel, reward: StateReward | None, start: Arra
     """Build the problem for the shortest duration, from the given one on, that way-points can keep."""
     for trial in range(_TRIALS):
         problem = PlanningProblem(robot, reward, start, goal, duration * _LONGER**trial, bounds, config)
-        repair = StartRepair(problem)
         try:
-            repair(straight_line(problem))
-            return problem, repair
+            return problem, StartRepair(problem)
         except PlanningError:
             continue
     raise PlanningError("no motion from start to goal keeps the limits of speed and acceleration",

@@ -23,14 +23,23 @@ class StartRepair:
     """Moves way-points as little as possible until they keep all linear limits.
 
     minimise ||Q - Q_wanted||^2 subject to the limits of position, velocity and acceleration.
+
+    Attributes:
+        line: The straight line from start to goal, repaired, shape (H, n) [rad].
     """
 
     def __init__(self, problem: PlanningProblem) -> None:
-        """Set up the quadratic programme."""
+        """Set up the quadratic programme and find the straight line, from which all others are found.
+
+        Raises:
+            PlanningError: No way-points keep all limits between these ends in this time.
+        """
         self._problem = problem
         m, n = len(problem.free), problem.joints
         uncoupled = np.zeros((m, m)), np.zeros(n)
         self._solver = WaypointSolver(problem.rates[:, problem.free], problem.rate_limits, *uncoupled)
+        line = straight_line(problem)
+        self.line = self._nearest(line, line)
 
     def __call__(self, waypoints: Array) -> Array:
         """Repair way-points.
@@ -40,24 +49,24 @@ class StartRepair:
 
         Returns:
             Feasible joint positions, shape (H, n) [rad].
-
-        Raises:
-            PlanningError: No way-points keep all limits between these ends in this time.
         """
+        return self._nearest(waypoints, self.line)
+
+    def _nearest(self, wanted: Array, base: Array) -> Array:
+        """Find the feasible way-points nearest to wanted ones, starting from a base inside the position limits."""
         problem = self._problem
         m, n = len(problem.free), problem.joints
-        wanted = waypoints[problem.free]
-        inside = np.clip(wanted, problem.bounds.lower, problem.bounds.upper)
+        free, lower, upper = base[problem.free], problem.bounds.lower, problem.bounds.upper
         change = self._solver.solve(WaypointQP(
-            gradient=inside - wanted, blocks=np.tile(np.eye(n), (m, 1, 1)), lower=problem.bounds.lower - inside,
-            upper=problem.bounds.upper - inside, shares=problem.rate_shares(problem.complete(inside)),
-            clearances=np.zeros((m, 0)), clearance_jacobians=np.zeros((m, 0, n)), penalty=1.0)).change
-        repaired = problem.complete(np.clip(inside + change, problem.bounds.lower, problem.bounds.upper))
-        share = float(np.abs(problem.rate_shares(repaired)).max())
+            gradient=free - wanted[problem.free], blocks=np.tile(np.eye(n), (m, 1, 1)), lower=lower - free,
+            upper=upper - free, shares=problem.rate_shares(base), clearances=np.zeros((m, 0)),
+            clearance_jacobians=np.zeros((m, 0, n)), penalty=1.0)).change
+        nearest = problem.complete(np.clip(free + change, lower, upper))
+        share = float(np.abs(problem.rate_shares(nearest)).max())
         if share > _FEASIBLE_SHARE:
             raise PlanningError("the limits of speed and acceleration allow no motion in this time",
                                 expected="at most 1 of the limits", got=f"{share:.3f}")
-        return repaired
+        return nearest
 
 
 def straight_line(problem: PlanningProblem) -> Array:
@@ -81,10 +90,10 @@ def start_motions(problem: PlanningProblem, repair: StartRepair, seeds: Sequence
 
     Raises:
         ShapeError: A seed of another shape.
-        PlanningError: No way-points keep all limits.
+        InputError: A seed that is not finite.
     """
-    line = straight_line(problem)
-    yield repair(line)
+    line = repair.line
+    yield line
     for seed in seeds:
         yield repair(_with_ends(frozen_array("seed of the search", seed, line.shape), problem))
     rng = np.random.default_rng(config.seed)
