@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from unifeed_ros.core.errors import UnifeedError
-from unifeed_ros.resources import config_names, config_path
+from unifeed_ros.resources import config_path
 
 
 class UserMistake(UnifeedError):
@@ -24,9 +24,9 @@ def session_files(robot: str, task: str) -> tuple[Path, ...]:
         Files of the robot, the task and the session, in this order.
 
     Raises:
-        UserMistake: An unknown name, or a file that is not there.
+        ConfigError: An unknown name, or a file that is not there.
     """
-    return _named("robot", robot), _named("task", task), config_path("session")
+    return config_path("robots", robot).resolve(), config_path("tasks", task).resolve(), config_path("", "session")
 
 
 def prepare_folder(folder: Path) -> Path:
@@ -58,14 +58,3 @@ def prepare_folder(folder: Path) -> Path:
 def domain() -> str:
     """Give the ROS domain of this process."""
     return os.environ.get("ROS_DOMAIN_ID", "0")
-
-
-def _named(kind: str, name: str) -> Path:
-    path = Path(name)
-    if path.suffix in (".yaml", ".yml"):
-        if not path.is_file():
-            raise UserMistake(f"{kind} file {path} is missing", mend="check the path")
-        return path.resolve()
-    if name not in config_names(f"{kind}s"):
-        raise UserMistake(f"unknown {kind}", expected=" or ".join(config_names(f"{kind}s")), got=name)
-    return config_path(f"{kind}s", name)

@@ -63,7 +63,7 @@ def node_table(setup: SessionSetup) -> tuple[NodeSpec, ...]:
     """
     rows: list[tuple[str, Mapping[str, Parameter]]] = []
     if setup.bag is not None:
-        rows.append((RECORDER, {"bag": str(setup.bag)}))
+        rows.append((RECORDER, {"recorder.folder": str(setup.bag)}))
     if setup.simulated:
         rows.append(("sim_arm", {"simulation.seed": setup.seed, "simulation.speed": float(setup.speed)}))
     rows += [

@@ -29,11 +29,12 @@ def save_model(path: Path, model: RewardEnsemble) -> Path:
     """
     path = path.expanduser().resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
-    about = {"version": model.version, "robot": model.robot, "frame": model.frame, "inputs": list(model.inputs),
+    about = {"format": FORMAT, "version": model.version, "robot": model.robot, "frame": model.frame, "inputs": list(model.inputs),
              "layer_sizes": list(model.layer_sizes), "members": int(model.weights[0].shape[0]),
              "feedback_ids": list(model.feedback_ids), "seed": model.seed}
     temporary = path.with_suffix(".partial")
-    save_file({"weights": model.flat_weights()}, temporary, metadata={"format": FORMAT, "model": json.dumps(about)})
+    # one entry only: safetensors writes several in no fixed order, and the same model must give the same bytes
+    save_file({"weights": model.flat_weights()}, temporary, metadata={"reward": json.dumps(about)})
     temporary.replace(path)
     return path
 
@@ -52,10 +53,9 @@ def load_model(path: Path) -> RewardEnsemble:
     """
     try:
         with safe_open(path, framework="numpy") as file:
-            metadata = file.metadata() or {}
-            if metadata.get("format") != FORMAT:
-                raise InputError(f"{path} is not a reward model", expected=FORMAT, got=metadata.get("format"))
-            about = json.loads(metadata["model"])
+            about = json.loads((file.metadata() or {}).get("reward", "{}"))
+            if about.get("format") != FORMAT:
+                raise InputError(f"{path} is not a reward model", expected=FORMAT, got=about.get("format"))
             weights = file.get_tensor("weights")
     except (OSError, SafetensorError, KeyError, json.JSONDecodeError) as error:
         raise InputError(f"{path} is not a reward model", got=str(error)) from error
