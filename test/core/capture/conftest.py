@@ -1,3 +1,5 @@
+import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -33,3 +35,13 @@ def recording(recording_path):
         with np.load(recording_path(folder, name)) as file:
             return dict(file)
     return load
+
+
+@pytest.fixture(scope="session")
+def figures():
+    """Load the benchmark whose figures are held here, so that what it prints is what is tested."""
+    spec = importlib.util.spec_from_file_location("capture_recordings", ROOT / "benchmarks" / "capture_recordings.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module

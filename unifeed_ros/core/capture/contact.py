@@ -57,7 +57,7 @@ class ContactConfig:
     collision_rate: float = 80.0
     """Rise of the level above which a contact begins as a collision [1/s]."""
     collision_time: float = 0.25
-    """A collision that lasts longer becomes a touch [s]."""
+    """A collision that still presses after this time becomes a touch [s]."""
     gap: float = 0.5
     """Longest step between samples that delays are counted across; stamps that go back by more begin anew [s]."""
 
@@ -234,7 +234,10 @@ class ContactDetector:
     def _judge_touched(self, time: float, torque: Array, level: float) -> None:
         config = self._config
         assert self._onset is not None
-        self._hard = (self._hard or self._rate > config.collision_rate) and time - self._onset <= config.collision_time
+        if time - self._onset <= config.collision_time:
+            self._hard = self._hard or self._rate > config.collision_rate
+        elif level > 1.0:
+            self._hard = False
         change = np.abs((torque - self._steady_torque) * self._inverse)
         if float(change.max()) > config.steady_band:
             self._steady_torque, self._steady_since = torque, time
