@@ -88,8 +88,7 @@ class SimulatedArm:
         self._noise_scales = np.concatenate([np.full(n, self.config.position_noise),
                                              np.full(n, self.config.velocity_noise),
                                              thresholds * self.config.torque_noise])
-        self._jacobian, self._wrench = np.zeros((6, n)), np.zeros(6)
-        self._command: Array | None = None
+        self._jacobian = np.zeros((6, n))
         self._gain = 1.0 - math.exp(-TIMESTEP / self.config.torque_time) if self.config.torque_time > 0 else 1.0
         self.reset(robot.config.seed)
 
@@ -112,7 +111,8 @@ class SimulatedArm:
         """
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = self.robot.require_state(positions)
-        self._command, self._hand = None, None
+        self._command: Array | None = None
+        self._hand: Array | None = None
         self._external = np.zeros(self.robot.n)
         self._draw_noise()
         mujoco.mj_step1(self.model, self.data)
@@ -140,8 +140,8 @@ class SimulatedArm:
             ShapeError: Another length.
             InputError: Not finite.
         """
-        self._wrench = frozen_array("wrench", wrench, (6,))
-        self._hand = self._wrench if self._wrench.any() else None
+        hand = frozen_array("wrench", wrench, (6,))
+        self._hand = hand if hand.any() else None
 
     def step(self) -> None:
         """Advance the physics by 1 ms."""

@@ -96,8 +96,8 @@ def _add_link(bodies: list[mujoco.MjsBody], robot: RobotModel, joint: int, dynam
 def _axis(robot: RobotModel, joint: int) -> Array:
     motion = robot.pin_model.joints[joint].createData().S.reshape(6, -1)
     if robot.pin_model.joints[joint].nq != 1 or np.any(motion[:3]):
-        raise ConfigError(f"joint {robot.pin_model.names[joint]} of {robot.config.name}", expected="a hinge with limits",
-                          got=robot.pin_model.joints[joint].shortname(), mend="simulate an arm of hinges")
+        raise ConfigError(f"joint {robot.pin_model.names[joint]} of {robot.config.name}",
+                          expected="a hinge with limits", got=robot.pin_model.joints[joint].shortname())
     return motion[3:, 0]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from unifeed_ros.core.control.arbitration import Arbitration
 from unifeed_ros.core.control.impedance import ImpedanceLaw
-from unifeed_ros.core.control.reference import Reference, SampledMotion, require_motion
+from unifeed_ros.core.control.reference import Braking, Reference, SampledMotion, Setpoint, require_motion
 from unifeed_ros.core.control.safety import LONGEST_TICK, SafetyFilter, all_finite
 from unifeed_ros.core.control.settings import ControlConfig
 from unifeed_ros.core.errors import InputError
@@ -68,10 +68,10 @@ class SharedController:
         self._motion: SampledMotion | None = None
         self._motion_id, self._message = "", "no mode chosen yet"
         self._state: RobotState | None = None
-        self._anchor: Array | None = None
+        self._braking: Braking | None = None
         self._now, self._blind_since = 0.0, 0.0
         self._force, self._ticks = 0.0, 0
-        self._no_torque = np.zeros(robot.n)
+        self._zero = np.zeros(robot.n)
 
     def hold(self, state: RobotState) -> None:
         """Hold the arm where it is; it yields to force and stays where it is left. Ends a stop.
@@ -117,10 +117,11 @@ class SharedController:
         require_motion(trajectory, robot.joint_names, robot.lower - robot.config.position_margin,
                        robot.upper + robot.config.position_margin, robot.velocity_limits)
         start = self._begin(state)
-        gap = float(np.abs(trajectory.positions[0] - start).max())
+        gap = float(np.abs(trajectory.positions[0] - start.positions).max())
         if gap > self.config.start_tolerance:
-            raise InputError("the motion starts elsewhere", expected=f"within {self.config.start_tolerance} rad of the arm",
-                             got=f"{gap:.3f} rad away", mend="move to its start first")
+            raise InputError("the motion starts elsewhere", got=f"{gap:.3f} rad away",
+                             expected=f"within {self.config.start_tolerance} rad of the arm",
+                             mend="move to its start first")
         self._motion = SampledMotion(trajectory)
         self._reference = Reference(start, self._motion, robot, self.config)
         self._enter(TeachingMode.TRACK, f"carrying out {motion_id}")
@@ -133,7 +134,7 @@ class SharedController:
             reason: Why, as a clause for a person.
         """
         if self.mode is not TeachingMode.STOPPED:
-            self._anchor = None
+            self._braking = None
             self._enter(TeachingMode.STOPPED, f"stopped: {reason}")
 
     def deactivate(self) -> None:
@@ -169,37 +170,34 @@ class SharedController:
         """
         now = state.time if now is None else now
         period, self._now = now - self._now, now
-        fault = self._safety.fault_of(state)
         fresh = self.check_fresh(now - state.time)
-        if fault is None:
-            dt = 0.0 if self._state is None else min(max(state.time - self._state.time, 0.0), LONGEST_TICK)
+        fault = self._safety.fault_of(state)
+        if fault is not None and self.mode is not TeachingMode.INACTIVE:
+            self.stop(fault)
+        usable = fault is None or self._safety.readable(state)
+        dt = 0.0
+        if usable:
+            dt = min(max(state.time - self._state.time, 0.0), LONGEST_TICK) if self._state is not None else 0.0
             self._state = state
             self._listen(state, external_torque, now, dt)
-        elif self.mode is not TeachingMode.INACTIVE:
-            self.stop(fault)
         if self._state is None or self.mode is TeachingMode.INACTIVE:
             return self._answer(None)
-        if not fresh or (fault is not None and not _usable(state, self.robot.n)):
-            wanted = self._law.weight(self._state.positions)
-        elif fault is not None:
-            wanted = self._stopped_torque(state)
-        else:
-            wanted = self._torque(state, dt)
+        wanted = self._torque(state, dt) if fresh and usable else self._law.weight(self._state.positions)
         if not self._safety.started:
             self._safety.start_from(self._law.weight(self._state.positions))
         return self._answer(self._safety.limited(wanted, period))
 
-    def _begin(self, state: RobotState) -> Array:
-        """Check a state and say from where a new reference starts, so that it does not jump."""
+    def _begin(self, state: RobotState) -> Setpoint:
+        """Check a state and say from where a new reference goes on, so that it does not jump."""
         fault = self._safety.fault_of(state)
         if fault is not None:
             raise InputError(fault, mend="let the arm come to rest, and check its driver")
         if self.mode is TeachingMode.INACTIVE:
             self._now = self._blind_since = state.time
         if self.mode in (TeachingMode.HOLD, TeachingMode.TRACK) and self._reference is not None:
-            return self._reference.setpoint.positions
+            return self._reference.setpoint
         self._arbitration.reset(0.0)
-        return np.array(state.positions)
+        return Setpoint(np.array(state.positions), self._zero, self._zero)
 
     def _enter(self, mode: TeachingMode, message: str) -> None:
         self.mode, self._message, self._motion_id = mode, message, ""
@@ -211,11 +209,11 @@ class SharedController:
         if torque is None:
             if now - self._blind_since > self.config.stale_after and self.mode is TeachingMode.TRACK:
                 self.stop(f"no external torque for {now - self._blind_since:.2f} s; a push would not be felt")
-            torque = self._no_torque
+            torque = self._zero
         elif torque.shape != (self.robot.n,) or not all_finite(torque):
             if self.mode is not TeachingMode.INACTIVE:
                 self.stop(f"external torque is not {self.robot.n} finite numbers")
-            torque = self._no_torque
+            torque = self._zero
         else:
             self._blind_since = now
         velocities = state.velocities.tolist()
@@ -228,7 +226,7 @@ class SharedController:
 
     def _torque(self, state: RobotState, dt: float) -> Array:
         if self.mode is TeachingMode.STOPPED:
-            return self._stopped_torque(state)
+            return self._stopped_torque(state, dt)
         assert self._reference is not None
         guided = self.mode is TeachingMode.GUIDE
         share = 0.0 if guided else self._arbitration.authority
@@ -236,11 +234,11 @@ class SharedController:
         setpoint = self._reference.step(state.positions, share, dt)
         return self._law.torque(state.positions, state.velocities, setpoint, share, damping)
 
-    def _stopped_torque(self, state: RobotState) -> Array:
-        slack = self.config.stop_slack
-        anchor = state.positions if self._anchor is None else self._anchor
-        self._anchor = np.minimum(np.maximum(anchor, state.positions - slack), state.positions + slack)
-        return self._law.soft_hold(state.positions, state.velocities, self._anchor, self.config.stop_stiffness)
+    def _stopped_torque(self, state: RobotState, dt: float) -> Array:
+        if self._braking is None:
+            self._braking = Braking(state, self.robot, self.config)
+        setpoint = self._braking.step(state.positions, dt)
+        return self._law.soft_hold(state.positions, state.velocities, setpoint, self.config.stop_stiffness)
 
     def _finished(self) -> bool:
         reference, state = self._reference, self._state
@@ -262,8 +260,3 @@ class SharedController:
             torque=torque, mode=self.mode, control=control, authority=self._arbitration.authority if leads else 0.0,
             motion_id=self._motion_id, motion_time=self._reference.time if self._motion_id and self._reference else 0.0,
             force=self._force, message=message, finished=self._finished())
-
-
-def _usable(state: RobotState, n: int) -> bool:
-    return state.positions.shape == state.velocities.shape == (n,) and all_finite(state.positions) and all_finite(
-        state.velocities)

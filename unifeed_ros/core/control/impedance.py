@@ -62,20 +62,22 @@ class ImpedanceLaw:
         torque = torque + share * spring + (share + (1.0 - share) * free_damping) * damper
         return self._within(torque, positions, velocities)
 
-    def soft_hold(self, positions: Array, velocities: Array, anchor: Array, part: float) -> Array:
-        """Compute the torques that hold a posture softly and brake fully.
+    def soft_hold(self, positions: Array, velocities: Array, setpoint: Setpoint, part: float) -> Array:
+        """Compute the torques that brake fully and hold a posture softly.
 
         Args:
             positions: Measured joint positions, shape (n,) [rad].
             velocities: Measured joint velocities, shape (n,) [rad/s].
-            anchor: Posture to hold, shape (n,) [rad].
+            setpoint: Where and how fast the arm should be on its way to rest.
             part: Part of the robot's stiffness that holds [1].
 
         Returns:
             Torques, shape (n,) [Nm].
         """
-        spring = part * self.stiffness * (anchor - positions)
-        return self._within(self.weight(positions) + spring - self.damping * velocities, positions, velocities)
+        torque = pin.rnea(self._model, self._data, positions, self._zero, setpoint.accelerations)
+        spring = part * self.stiffness * (setpoint.positions - positions)
+        damper = self.damping * (setpoint.velocities - velocities)
+        return self._within(torque + spring + damper, positions, velocities)
 
     def _within(self, torque: Array, positions: Array, velocities: Array) -> Array:
         excess = velocities - np.minimum(np.maximum(velocities, -self._fastest), self._fastest)

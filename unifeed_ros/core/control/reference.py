@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ import numpy as np
 from unifeed_ros.core.control.settings import ControlConfig
 from unifeed_ros.core.errors import InputError
 from unifeed_ros.core.robot import RobotModel
-from unifeed_ros.core.types import Array, Trajectory
+from unifeed_ros.core.types import Array, RobotState, Trajectory
 
 GRID = 0.002
 """Spacing of the samples that a motion is kept in [s]."""
@@ -118,30 +119,30 @@ class Reference:
     """A motion, or a posture to hold, that gives way to the person and takes the arm back without a jump.
 
     Position = motion(s) + offset. While the robot leads, s runs with time, slower while the offset is large, and the
-    offset returns to zero like a critically damped spring with limited speed and acceleration. While the person leads, s
-    runs to the nearest point of what remains of the motion, never back, and the offset follows the arm. Both blend with
-    the robot's share, so the position never jumps.
+    offset returns to zero like a critically damped spring with limited speed and acceleration. While the person leads,
+    s runs to the nearest point of what remains of the motion, never back, and the offset follows the arm. Both blend
+    with the robot's share, so the position never jumps.
 
     Args:
-        start: Where the arm is, shape (n,) [rad].
+        start: Setpoint to go on from without a jump; its speed fades within the limits.
         motion: Motion to carry out; None to hold where the arm is, or where the person leaves it.
         robot: The arm, for its limits.
         config: Settings.
     """
 
-    def __init__(self, start: Array, motion: SampledMotion | None, robot: RobotModel, config: ControlConfig) -> None:
+    def __init__(self, start: Setpoint, motion: SampledMotion | None, robot: RobotModel, config: ControlConfig) -> None:
         self._motion = motion
-        self._zero = np.zeros(len(start))
-        self._anchor = Setpoint(np.array(start), self._zero, self._zero)
+        self._zero = np.zeros(robot.n)
+        self._anchor = Setpoint(np.array(start.positions), self._zero, self._zero)
         self._fastest, self._sharpest = RETURN_PART * robot.velocity_limits, RETURN_PART * robot.acceleration_limits
         self._frequency = 6.0 / config.rejoin_time
         self.time = 0.0
         """Time within the motion [s]."""
         self._rate = 1.0
-        self.offset = np.array(start) - motion.at(0.0).positions if motion is not None else np.zeros(len(start))
+        self.offset = start.positions - (self._anchor if motion is None else motion.at(0.0)).positions
         """Distance of the reference from the motion, shape (n,) [rad]."""
-        self._offset_velocity = np.zeros(len(start))
-        self.setpoint = Setpoint(np.array(start), self._zero, self._zero)
+        self._offset_velocity = np.array(start.velocities)
+        self.setpoint = start
         """What the arm is to reach now."""
 
     @property
@@ -187,14 +188,51 @@ class Reference:
         """Let the offset follow the arm as far as the person leads, and return as far as the robot does."""
         if authority < 1.0:
             self.offset += (gap - self.offset) * min(1.0, (1.0 - authority) * FOLLOW_GAIN * dt)
-        if self._motion is None or dt == 0.0:
+        if dt == 0.0:
             return self._zero
         w, before = self._frequency, self._offset_velocity
-        pull = -authority * w * w * self.offset - 2.0 * w * before
+        pull = -2.0 * w * before
+        if self._motion is not None:
+            pull -= authority * w * w * self.offset
         velocity = before + np.minimum(np.maximum(pull, -self._sharpest), self._sharpest) * dt
         self._offset_velocity = np.minimum(np.maximum(velocity, -self._fastest), self._fastest)
         self.offset += self._offset_velocity * dt
         return (self._offset_velocity - before) / dt
+
+
+class Braking:
+    """The reference of a stop: the arm's speed fades away, then it holds where it came to rest.
+
+    Position and velocity follow v' = -v / stop_time; beyond stop_slack the reference is dragged along with the arm, so
+    that it never pulls hard.
+
+    Args:
+        state: The arm when the stop came.
+        robot: The arm, for its limits.
+        config: Settings.
+    """
+
+    def __init__(self, state: RobotState, robot: RobotModel, config: ControlConfig) -> None:
+        self._config = config
+        self._positions = np.array(state.positions)
+        self._velocities = np.minimum(np.maximum(state.velocities, -robot.velocity_limits), robot.velocity_limits)
+
+    def step(self, positions: Array, dt: float) -> Setpoint:
+        """Advance by one tick.
+
+        Args:
+            positions: Measured joint positions, shape (n,) [rad].
+            dt: Time since the last tick [s].
+
+        Returns:
+            Where and how fast the arm should be.
+        """
+        slack, time = self._config.stop_slack, self._config.stop_time
+        kept = math.exp(-dt / time)
+        ahead = self._positions + self._velocities * (time * (1.0 - kept))
+        self._velocities = self._velocities * kept
+        self._positions = np.minimum(np.maximum(ahead, positions - slack), positions + slack)
+        return Setpoint(self._positions, self._velocities, self._velocities * (-1.0 / time))
 
 
 def require_motion(trajectory: Trajectory, joint_names: Sequence[str], lower: Array, upper: Array,

@@ -51,8 +51,9 @@ class SafetyFilter:
         """
         n = self._robot.n
         if state.positions.shape != (n,) or state.velocities.shape != (n,):
-            return f"joint state has {state.positions.size} positions and {state.velocities.size} velocities, not {n} each"
-        if not all_finite(state.positions) or not all_finite(state.velocities) or not math.isfinite(state.time):
+            return (f"joint state has {state.positions.size} positions and {state.velocities.size} velocities, "
+                    f"not {n} each")
+        if not self.readable(state):
             return "joint state is not finite"
         relative = (state.velocities / self._fastest).tolist()
         if max(relative) > 1.0 or min(relative) < -1.0:
@@ -60,6 +61,15 @@ class SafetyFilter:
             return (f"{self._robot.joint_names[joint]} moves at {abs(state.velocities[joint]):.2f} rad/s, "
                     f"above the arm's limit of {self._fastest[joint]:.2f}")
         return None
+
+    def readable(self, state: RobotState) -> bool:
+        """Say whether a state has the right number of numbers, all finite, so that torques can be computed from it.
+
+        Args:
+            state: Measured state.
+        """
+        return (state.positions.shape == state.velocities.shape == (self._robot.n,) and all_finite(state.positions)
+                and all_finite(state.velocities) and math.isfinite(state.time))
 
     @property
     def started(self) -> bool:

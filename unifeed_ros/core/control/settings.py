@@ -28,13 +28,15 @@ class ControlConfig:
     """Time constant with which the robot's share falls [s]."""
     rise_time: float = 0.5
     """Time in which the robot's share rises from 0 to 1 after the release [s]."""
-    rejoin_time: float = 1.0
+    rejoin_time: float = 0.8
     """Time in which the arm comes back from where it was left to its motion, to about 2 percent of the way [s]."""
     guide_damping: float = 0.2
     """Damping while a person guides the weightless arm, as a part of the robot's damping [1]."""
     yield_damping: float = 0.25
-    """Damping while the arm yields on its way, as a part of the robot's damping [1]; it keeps a push from throwing it."""
-    stop_stiffness: float = 0.3
+    """Damping while the arm yields on its way, as a part of the robot's [1]; more keeps a push from throwing it."""
+    stop_time: float = 0.06
+    """Time constant with which a stop takes away the arm's speed [s]."""
+    stop_stiffness: float = 0.5
     """Stiffness while stopped, as a part of the robot's stiffness [1]."""
     stop_slack: float = 0.05
     """Displacement while stopped beyond which the arm gives way without pulling harder [rad]."""

@@ -1,0 +1,297 @@
+"""The shared controller on the simulated arm, 500 Hz, with the delay that middleware adds."""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from unifeed_ros.core.capture.contact import ContactDetector
+from unifeed_ros.core.control.controller import SharedController
+from unifeed_ros.core.errors import InputError
+from unifeed_ros.core.modes import Control, TeachingMode
+from unifeed_ros.core.robot import RobotModel, load_robot
+from unifeed_ros.core.types import RobotState, Trajectory
+from unifeed_ros.simulation.arm import SimulatedArm
+
+CONFIGS = Path(__file__).parents[3] / "config" / "robots"
+ROBOTS = {name: RobotModel(load_robot(CONFIGS / f"{name}.yaml")) for name in ("panda", "ur10")}
+START = {"panda": (0.2, 0.2, 0.6), "ur10": (0.3, 0.3, 0.5)}
+GOAL = (0.65, -0.4, 0.1)
+PERIOD = 0.002
+
+
+@pytest.fixture(params=sorted(ROBOTS))
+def robot(request):
+    return ROBOTS[request.param]
+
+
+class Loop:
+    """Arm, contact detector and controller in one process; commands arrive some steps late."""
+
+    def __init__(self, robot, *, delay=3, seed=1):
+        self.robot, self.arm = robot, SimulatedArm(robot, seed=seed)
+        self.arm.reset(robot.inverse_kinematics(START[robot.config.name]))
+        self.detector = ContactDetector(robot.config.contact_thresholds)
+        self.controller = SharedController(robot)
+        self.late = deque([None] * delay)
+        self.steps, self.commands, self.tool, self.errors = 0, [], [], []
+
+    def run(self, seconds, push=(0.0, 0.0, 0.0)):
+        self.arm.push([*push, 0.0, 0.0, 0.0])
+        for _ in range(round(seconds * 1000)):
+            if self.steps % 2 == 0:
+                self._tick()
+            self.late.append(self.commands[-1].torque)
+            self.arm.command(self.late.popleft())
+            self.arm.step()
+            self.steps += 1
+        return self
+
+    def _tick(self):
+        state = self.arm.state()
+        contact = self.detector.update(state.time, self.arm.external_torque(), state.velocities)
+        self.commands.append(self.controller.step(state, contact.torque))
+        self.tool.append(self.arm.tool_position)
+
+    def straight_motion(self, duration=None):
+        start = self.arm.true_positions
+        goal = self.robot.inverse_kinematics(GOAL, seed=start)
+        fastest = 1.9 * float(np.max(np.abs(goal - start) / self.robot.velocity_limits))
+        return minimum_jerk(self.robot, start, goal, duration or max(3.0, fastest))
+
+    def start_tracking(self, **kwargs):
+        self.controller.hold(self.arm.state())
+        self.run(1.0)
+        motion = self.straight_motion(**kwargs)
+        self.controller.track(motion, "m1", self.arm.state())
+        return motion
+
+    @property
+    def largest_torque_step(self):
+        torques = np.array([c.torque for c in self.commands])
+        return float(np.abs(np.diff(torques, axis=0)).max())
+
+
+def minimum_jerk(robot, start, goal, duration):
+    t = np.append(np.arange(0.0, duration - 0.005, 0.01), duration)
+    s = t[:, None] / duration
+    way = goal - start
+    return Trajectory(
+        joint_names=robot.joint_names, times=t, positions=start + way * (10 * s**3 - 15 * s**4 + 6 * s**5),
+        velocities=way * (30 * s**2 - 60 * s**3 + 30 * s**4) / duration,
+        accelerations=way * (60 * s - 180 * s**2 + 120 * s**3) / duration**2)
+
+
+@pytest.mark.parametrize(("delay", "seed"), [(0, 1), (3, 2), (6, 3)])
+def test_tracks_closely_in_spite_of_friction_noise_and_delay(robot, delay, seed):
+    loop = Loop(robot, delay=delay, seed=seed)
+    motion = loop.start_tracking()
+    first = len(loop.commands)
+    joint_errors, tool_errors, start = [], [], loop.arm.time
+    while loop.arm.time < start + motion.duration:
+        loop.run(0.01)
+        wanted = motion.positions_at([loop.arm.time - start])[0]
+        joint_errors.append(loop.arm.true_positions - wanted)
+        tool_errors.append(loop.arm.tool_position - robot.tool_pose(wanted)[0])
+    loop.run(0.3)
+    tool = np.array(loop.tool[first:])
+    assert np.linalg.norm(np.diff(tool, axis=0), axis=1).max() / PERIOD > 0.5
+    assert np.sqrt(np.mean(np.square(joint_errors))) < 5e-3
+    assert np.linalg.norm(tool_errors, axis=1).max() < 5e-3
+    assert min(c.authority for c in loop.commands[first:]) == 1.0
+    assert loop.commands[-1].finished
+    assert loop.commands[-1].control is Control.ROBOT
+
+
+@pytest.mark.parametrize("push", [(0.0, 0.0, 20.0), (0.0, 20.0, 0.0)])
+def test_yields_to_the_hand_and_comes_back_to_the_plan(robot, push):
+    loop = Loop(robot)
+    motion = loop.start_tracking(duration=5.0)
+    loop.run(1.2)
+    path = robot.tool_states(motion.resampled(500))[:, :3]
+
+    def off_path():
+        return np.linalg.norm(path - loop.arm.tool_position, axis=1).min()
+
+    before = loop.arm.tool_position
+    assert off_path() < 5e-3
+    loop.run(0.5, push)
+    assert loop.commands[-1].control is Control.PERSON
+    assert loop.commands[-1].authority < 0.05
+    assert loop.commands[-1].force == pytest.approx(20.0, rel=0.3)
+    held = loop.run(0.3, push).commands[-1].motion_time
+    assert (loop.arm.tool_position - before) @ np.array(push) / 20.0 > 0.1
+    loop.run(1.5)
+    assert off_path() < 0.02
+    assert loop.commands[-1].control is Control.ROBOT
+    assert loop.commands[-1].motion_time >= held
+    times = [c.motion_time for c in loop.commands if c.motion_id]
+    assert (np.diff(times) >= 0).all()
+    assert loop.largest_torque_step <= loop.controller.config.torque_rate * PERIOD + 1e-9
+    loop.run(4.5)
+    assert loop.commands[-1].finished
+    assert np.linalg.norm(loop.arm.tool_position - path[-1]) < 5e-3
+
+
+def test_a_weightless_arm_follows_a_pull_and_stays_when_nobody_touches(robot):
+    loop = Loop(robot)
+    loop.controller.guide(loop.arm.state())
+    start = loop.arm.tool_position
+    loop.run(2.0)
+    assert np.linalg.norm(loop.arm.tool_position - start) < 0.01
+    assert loop.commands[-1].control is Control.NOBODY
+    loop.run(1.0, (0.0, 0.0, -10.0))
+    assert start[2] - loop.arm.tool_position[2] > 0.05
+    loop.run(1.0)
+    left = loop.arm.tool_position
+    loop.run(1.0)
+    assert np.linalg.norm(loop.arm.tool_position - left) < 0.01
+
+
+def test_a_hold_gives_way_and_stays_where_it_is_left(robot):
+    loop = Loop(robot)
+    loop.controller.hold(loop.arm.state())
+    start = loop.run(1.0).arm.tool_position
+    left = loop.run(1.0, (0.0, 20.0, 0.0)).arm.tool_position
+    assert left[1] - start[1] > 0.1
+    loop.run(1.5)
+    assert np.linalg.norm(loop.arm.tool_position - left) < 0.06
+    assert loop.commands[-1].authority == 1.0
+
+
+def test_a_stop_in_full_motion_brakes_holds_softly_and_lasts(robot):
+    loop = Loop(robot)
+    motion = loop.start_tracking()
+    loop.run(1.5)
+    loop.controller.stop("tested")
+    loop.run(0.5)
+    stopped = loop.arm.tool_position
+    assert np.abs(loop.arm.true_velocities).max() < 0.1
+    loop.run(1.0)
+    assert np.abs(loop.arm.true_velocities).max() < 0.01
+    command = loop.commands[-1]
+    assert np.linalg.norm(loop.arm.tool_position - stopped) < 0.01
+    assert command.mode is TeachingMode.STOPPED and command.message == "stopped: tested"
+    assert loop.largest_torque_step <= loop.controller.config.torque_rate * PERIOD + 1e-9
+    loop.controller.stop("again")
+    assert loop.run(0.01).commands[-1].message == "stopped: tested"
+    with pytest.raises(InputError, match="stopped"):
+        loop.controller.track(motion, "m2", loop.arm.state())
+    loop.controller.hold(loop.arm.state())
+    assert loop.run(0.1).commands[-1].mode is TeachingMode.HOLD
+
+
+def test_a_hold_in_full_motion_brakes_gently(robot):
+    loop = Loop(robot)
+    loop.start_tracking()
+    loop.run(1.5)
+    moving = loop.arm.tool_position
+    loop.controller.hold(loop.arm.state())
+    loop.run(1.2)
+    assert np.abs(loop.arm.true_velocities).max() < 0.02
+    assert np.linalg.norm(loop.arm.tool_position - moving) < 0.25
+    assert loop.largest_torque_step <= loop.controller.config.torque_rate * PERIOD + 1e-9
+
+
+def test_switching_between_modes_in_motion_keeps_the_torque_continuous(robot):
+    loop = Loop(robot)
+    loop.start_tracking()
+    loop.run(1.0)
+    for choose in (loop.controller.guide, loop.controller.hold, loop.controller.guide, loop.controller.hold):
+        choose(loop.arm.state())
+        loop.run(0.4)
+    assert loop.largest_torque_step <= loop.controller.config.torque_rate * PERIOD + 1e-9
+    assert np.abs(loop.arm.true_velocities).max() < 0.5
+
+
+def test_a_pause_of_the_middleware_is_survived(robot):
+    loop = Loop(robot)
+    motion = loop.start_tracking()
+    loop.run(1.0)
+    for _ in range(40):
+        loop.arm.step()
+    loop.run(motion.duration)
+    assert loop.commands[-1].finished
+
+
+def tracking_controller(robot):
+    state = RobotState(time=0.0, positions=np.array(robot.config.seed), velocities=np.zeros(robot.n))
+    controller = SharedController(robot)
+    controller.hold(state)
+    controller.step(state, np.zeros(robot.n))
+    goal = state.positions + 0.1
+    controller.track(minimum_jerk(robot, state.positions, goal, 2.0), "m1", state)
+    return controller, state
+
+
+def at(state, time, **changes):
+    return RobotState(**({"time": time, "positions": state.positions, "velocities": state.velocities} | changes))
+
+
+@pytest.mark.parametrize(("what", "word"), [
+    ({"positions": np.full(3, 0.0)}, "positions"), ({"velocities": np.full(3, 0.0)}, "velocities"),
+    ({"positions": "nan"}, "finite"), ({"velocities": "fast"}, "moves at")])
+def test_a_bad_state_stops_and_the_last_good_one_holds_the_weight(robot, what, word):
+    controller, state = tracking_controller(robot)
+    values = {"nan": np.full(robot.n, np.nan), "fast": np.full(robot.n, 50.0)}
+    bad = at(state, 0.002, **{k: values.get(v, v) if isinstance(v, str) else v for k, v in what.items()})
+    command = controller.step(bad, np.zeros(robot.n))
+    assert command.mode is TeachingMode.STOPPED
+    assert word in command.message
+    assert np.isfinite(command.torque).all()
+    with pytest.raises(InputError):
+        controller.hold(bad)
+
+
+@pytest.mark.parametrize("torque", [np.zeros(2), np.full(7, np.nan), np.full(6, np.inf)])
+def test_a_bad_external_torque_stops(robot, torque):
+    controller, state = tracking_controller(robot)
+    assert controller.step(at(state, 0.002), torque).mode is TeachingMode.STOPPED
+
+
+def test_stale_input_stops_within_a_tenth_of_a_second(robot):
+    controller, state = tracking_controller(robot)
+    torque = np.zeros(robot.n)
+    assert controller.step(state, torque, now=0.09).mode is TeachingMode.TRACK
+    command = controller.step(state, torque, now=0.11)
+    assert command.mode is TeachingMode.STOPPED
+    assert "no joint state" in command.message
+    controller, state = tracking_controller(robot)
+    modes = [controller.step(at(state, k * 0.01), None).mode for k in range(1, 13)]
+    assert modes[8] is TeachingMode.TRACK and modes[-1] is TeachingMode.STOPPED
+
+
+def test_nothing_is_sent_before_a_mode_is_chosen_and_after_deactivation(robot):
+    controller = SharedController(robot)
+    state = RobotState(time=0.0, positions=np.array(robot.config.seed), velocities=np.zeros(robot.n))
+    assert controller.step(state, None).torque is None
+    controller.hold(state)
+    command = controller.step(at(state, 0.002), None)
+    weight = np.zeros(robot.n) if robot.config.compensates_gravity else robot.gravity(state.positions)
+    np.testing.assert_allclose(command.torque, weight, atol=2.1)
+    controller.deactivate()
+    assert controller.step(at(state, 0.004), None).torque is None
+    controller.stop("tested")
+    assert controller.step(at(state, 0.006), None).torque is not None
+
+
+def test_a_motion_that_starts_elsewhere_is_refused_and_nothing_changes(robot):
+    controller, state = tracking_controller(robot)
+    controller.hold(state)
+    elsewhere = minimum_jerk(robot, state.positions + 0.2, state.positions + 0.3, 2.0)
+    with pytest.raises(InputError, match="starts elsewhere"):
+        controller.track(elsewhere, "m2", state)
+    assert controller.step(at(state, 0.002), np.zeros(robot.n)).mode is TeachingMode.HOLD
+
+
+def test_same_input_same_bytes(robot):
+    def run():
+        loop = Loop(robot)
+        loop.start_tracking()
+        loop.run(0.5).run(0.5, (0.0, 15.0, 0.0))
+        return np.array([c.torque for c in loop.commands]).tobytes()
+
+    assert run() == run()
