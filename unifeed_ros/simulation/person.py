@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike
 
 from unifeed_ros.core.errors import ConfigError, InputError
@@ -13,6 +14,10 @@ from unifeed_ros.core.types import Array, Trajectory
 from unifeed_ros.simulation.hand import Hand, HandConfig
 from unifeed_ros.simulation.tasks import Yardstick
 from unifeed_ros.simulation.wish import Wish, smooth_deviation, wish_along
+
+
+_SAMPLING = 0.02
+"""Step at which a person compares motions [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +36,9 @@ class PersonConfig:
     pace_spread: float = 0.1
     """Standard deviation of the logarithm of the pace [1]."""
     patience: float = 0.12
-    """Lag of the tool behind the hand at which the hand stops to wait [m]."""
+    """Lag of the tool behind the guiding hand at which the hand stops to wait [m]."""
+    correcting_patience: float = 0.06
+    """The same for the correcting hand, which pulls harder [m]."""
     settling: float = 0.3
     """How long the hand rests at the goal before it lets go [s]."""
     ramp: float = 0.25
@@ -42,6 +49,8 @@ class PersonConfig:
     """Duration of one push [s], of the robot's motion time."""
     correction_threshold: float = 0.05
     """Mean shortfall of the true reward over a span that is worth a push [reward]."""
+    visible: float = 0.03
+    """Distance of the tool from where it is wanted that the person notices [m]."""
     always_correct: bool = True
     """True: the worst span gets a push, however good it is; the threshold then decides on further pushes only."""
     rationality: float = 5.0
@@ -49,11 +58,14 @@ class PersonConfig:
     tie: float = 0.02
     """Returns nearer to each other than this are called equal [reward]."""
     hand: HandConfig = field(default_factory=HandConfig)
-    """How the hand holds the tool."""
+    """How the hand holds the tool while guiding."""
+    correcting_hand: HandConfig = field(
+        default_factory=lambda: HandConfig(stiffness=500.0, damping=50.0, push=1500.0, largest_push=20.0))
+    """How the hand holds the tool while correcting: firmer, against an arm that means something else."""
 
     def __post_init__(self) -> None:
         """Reject values that no person has."""
-        for name in ("pace", "ramp", "settling", "correction_span", "patience"):
+        for name in ("pace", "ramp", "settling", "correction_span", "patience", "correcting_patience"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of the person", expected="> 0", got=getattr(self, name))
         for name in ("deviation", "goal_deviation", "pace_spread", "corrections", "rationality", "tie"):
@@ -79,7 +91,8 @@ class SimulatedPerson:
         self.config = config or PersonConfig()
         self._yardstick = yardstick
         self._rng = np.random.default_rng(seed)
-        self._hand = Hand(yardstick.robot, self.config.hand)
+        self._guiding = self._hand = Hand(yardstick.robot, self.config.hand)
+        self._correcting = Hand(yardstick.robot, self.config.correcting_hand)
         self._act: _Demonstration | _Correction | None = None
 
     @property
@@ -100,6 +113,7 @@ class SimulatedPerson:
         wish = wish.slower(pace).deviating(
             smooth_deviation(rng, config.deviation, start=here[:3] - wish.positions[0],
                              end=rng.normal(scale=config.goal_deviation, size=3)), self._lowest)
+        self._hand = self._guiding
         self._hand.take()
         self._act = _Demonstration(wish, config)
 
@@ -113,6 +127,7 @@ class SimulatedPerson:
         wish = wish_along(robot, self._yardstick.optimum).deviating(
             smooth_deviation(self._rng, config.deviation), self._lowest)
         spans = worst_spans(self._yardstick, wish, planned, config)
+        self._hand = self._correcting
         self._hand.take()
         self._act = _Correction(wish, spans, config)
 
@@ -173,7 +188,8 @@ def worst_spans(yardstick: Yardstick, wish: Wish, planned: Trajectory,
                 config: PersonConfig) -> list[tuple[float, float]]:
     """Find where a motion falls furthest short of what the person wants.
 
-    Compares the true reward of both at equal times, averaged over every window of the push's length.
+    Compares the true reward of both at equal times, averaged over every window of the push's length. Windows in which
+    the tool is nowhere visibly off the wish come last: there is nothing to pull.
 
     Args:
         yardstick: The arm and the true reward.
@@ -184,21 +200,25 @@ def worst_spans(yardstick: Yardstick, wish: Wish, planned: Trajectory,
     Returns:
         Spans of motion time, the earliest first [s]; they do not overlap.
     """
-    times = np.arange(0.0, planned.duration, 0.02)
+    times = np.arange(0.0, planned.duration, _SAMPLING)
+    wanted = wish.states_at(times)
     states = yardstick.robot.tool_states(planned.positions_at(planned.times[0] + times))
-    task = yardstick.task
-    short = task.rewards(wish.states_at(times)) - task.rewards(states)
     length = min(config.correction_span, planned.duration)
-    width = max(round(length / 0.02), 1)
-    means = np.convolve(short, np.full(width, 1.0 / width), mode="valid")
+    width = max(round(length / _SAMPLING), 1)
+    task = yardstick.task
+    short = sliding_window_view(task.rewards(wanted) - task.rewards(states), width).mean(axis=1)
+    apart = sliding_window_view(np.linalg.norm(wanted[:, :3] - states[:, :3], axis=1), width).max(axis=1)
+    visible = apart >= config.visible
     spans: list[tuple[float, float]] = []
-    while len(spans) < config.corrections and np.isfinite(means).any():
-        worst = int(np.argmax(means))
-        forced = config.always_correct and not spans
-        if means[worst] < config.correction_threshold and not forced:
+    open_windows = np.ones(len(short), dtype=bool)
+    while len(spans) < config.corrections and open_windows.any():
+        worth = np.where(visible, short, apart - 1e3)
+        worst = int(np.argmax(np.where(open_windows, worth, -np.inf)))
+        wrong = visible[worst] and short[worst] >= config.correction_threshold
+        if not wrong and (spans or not config.always_correct):
             break
         spans.append((float(times[worst]), float(times[worst]) + length))
-        means[max(worst - width, 0):worst + width] = -np.inf
+        open_windows[max(worst - width, 0):worst + width] = False
     return sorted(spans)
 
 
@@ -226,8 +246,7 @@ class _Demonstration:
         target = wish.states_at([self._progress])[0]
         lag = float(np.linalg.norm(target[:3] - here))
         grip = min((time - self._begun) / config.ramp, 1.0)
-        readiness = float(np.clip(2.0 - 2.0 * lag / config.patience, 0.0, 1.0))
-        rate = readiness * grip if self._progress < wish.duration else 0.0
+        rate = _readiness(lag, config.patience) * grip if self._progress < wish.duration else 0.0
         self._progress = min(self._progress + rate * dt, wish.duration)
         if self._progress >= wish.duration:
             self._waited += dt
@@ -242,11 +261,13 @@ class _Demonstration:
 
 
 class _Correction:
-    """Pull the tool towards a wish in some spans of the robot's motion, moving along with it."""
+    """Pull the tool towards a wish in some spans of the robot's motion, and lead it along the wish from there."""
 
     def __init__(self, wish: Wish, spans: list[tuple[float, float]], config: PersonConfig) -> None:
         self._wish, self._config = wish, config
         self._spans = list(spans)
+        self._last = 0.0
+        self._progress = 0.0
         self._taken: float | None = None
         self._released: float | None = None
 
@@ -254,22 +275,31 @@ class _Correction:
     def finished(self) -> bool:
         return not self._spans
 
-    def step(self, time: float, _here: Array, motion_time: float) -> _Aim:
-        config = self._config
+    def step(self, time: float, here: Array, motion_time: float) -> _Aim:
+        config, wish = self._config, self._wish
         start, end = self._spans[0]
-        target = self._wish.states_at([motion_time])[0]
-        velocity = self._wish.velocity_at(motion_time)
+        dt, self._last = max(time - self._last, 0.0), time
         if self._taken is None:
+            target = wish.states_at([motion_time])[0]
             if motion_time < start:
-                return 0.0, target[:3], target[3:], velocity
-            self._taken = time
+                return 0.0, target[:3], target[3:], np.zeros(3)
+            self._taken, self._progress = time, motion_time
+        # A robot that is held lets its motion wait for the hand: who corrects goes on at a pace of their own.
+        target = wish.states_at([self._progress])[0]
+        rate = _readiness(float(np.linalg.norm(target[:3] - here)), config.correcting_patience) / config.pace
+        self._progress += rate * dt
         grip = min((time - self._taken) / config.ramp, 1.0)
-        # A robot that stands still while it is held would hold the person for ever: they also let go by the clock.
-        if self._released is None and (motion_time >= end - config.ramp or time - self._taken > 2.0 * (end - start)):
+        late = time - self._taken > 3.0 * (end - start)
+        if self._released is None and (self._progress >= end or late):
             self._released = time
         if self._released is not None:
             grip = min(grip, 1.0 - (time - self._released) / config.ramp)
             if grip <= 0.0:
                 self._spans.pop(0)
                 self._taken = self._released = None
-        return max(grip, 0.0), target[:3], target[3:], velocity
+        return max(grip, 0.0), target[:3], target[3:], rate * wish.velocity_at(self._progress)
+
+
+def _readiness(lag: float, patience: float) -> float:
+    """Say how fast a hand goes on: at full pace up to half the patience, not at all beyond it."""
+    return float(np.clip(2.0 - 2.0 * lag / patience, 0.0, 1.0))

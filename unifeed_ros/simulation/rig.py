@@ -24,7 +24,6 @@ from unifeed_ros.core.types import Array, RobotState, Trajectory
 from unifeed_ros.simulation.arm import ArmConfig, SimulatedArm
 from unifeed_ros.simulation.person import SimulatedPerson
 
-
 T = TypeVar("T", CapturedDemonstration, CapturedCorrections)
 
 
