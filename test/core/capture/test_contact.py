@@ -129,6 +129,17 @@ def test_outliers_at_the_start_do_not_enter_the_bias():
     assert np.abs(samples[-1].bias).max() < 0.2
 
 
+def test_delays_are_not_counted_across_a_gap():
+    times, torque, _, _ = pushes([], [])
+    detector = ContactDetector(THRESHOLDS)
+    for time, row in zip(times, torque, strict=True):
+        detector.update(time, row, np.zeros(N))
+    push = torque[0] + 5.0 * THRESHOLDS
+    assert not detector.update(times[-1] + 0.004, push, np.zeros(N)).in_contact
+    assert not detector.update(times[-1] + 2.0, push, np.zeros(N)).in_contact
+    assert detector.update(times[-1] + 2.03, push, np.zeros(N)).onset == times[-1] + 2.0
+
+
 def test_stamps_out_of_order_are_skipped():
     times, torque, _, _ = pushes([(2.0, 2.6)], [4.0])
     detector = ContactDetector(THRESHOLDS)

@@ -87,6 +87,13 @@ def test_taking_hold_of_the_arm_is_not_its_motion():
     assert extract_demonstration(times, positions, NAMES).duration < 2.2
 
 
+def test_short_rest_is_part_of_the_motion_around_it():
+    for rest, segments in ((0.05, 1), (1.0, 2)):
+        move = (1.0, (0.5, 0.0, 0.0))
+        times, positions = moves([(1.0, None), move, (rest, None), move, (1.0, None)])
+        assert len(moving_segments(times, positions, MotionConfig())) == segments
+
+
 def test_creeping_in_a_pause_stays_slow():
     times, positions = moves([(0.5, None), (1.0, (0.5, 0.0, 0.0)), (8.0, (0.0, 0.06, 0.0)), (1.0, (0.5, 0.0, 0.0))])
     demonstration = extract_demonstration(times, positions, NAMES)

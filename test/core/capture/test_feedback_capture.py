@@ -167,9 +167,19 @@ def test_clock_that_begins_anew_begins_a_session_anew(session):
     session.play(TeachingMode.GUIDE, 1.0, displacement=np.full(7, 0.3))
     session.time = 0.0
     session.play(TeachingMode.HOLD, 0.2)
-    session.play(TeachingMode.GUIDE, 1.0, displacement=np.full(7, 0.3)).play(TeachingMode.HOLD, 0.1)
+    session.play(TeachingMode.GUIDE, 2.0, displacement=np.full(7, 0.3)).play(TeachingMode.HOLD, 0.1)
     assert [c.reason for c in session.captured] == [""]
-    assert session.captured[0].trajectory.duration == pytest.approx(1.0, abs=0.15)
+    assert session.captured[0].trajectory.duration == pytest.approx(2.0, abs=0.15)
+
+
+def test_states_later_than_the_end_of_the_run_do_not_belong_to_it(session):
+    session.play(TeachingMode.GUIDE, 2.0, displacement=np.full(7, 0.3))
+    end, zeros = session.time, np.zeros(7)
+    for k in range(1, 200):
+        later = session.q + 0.3 * k / 200
+        session.capture.observe_state(RobotState(time=end + k / RATE, positions=later, velocities=zeros))
+    [captured] = session.capture.observe_teaching(end, TeachingMode.HOLD, "", 0.0)
+    np.testing.assert_allclose(captured.trajectory.positions[-1], session.q, atol=0.01)
 
 
 def test_input_that_cannot_be_used_is_refused(session, motion):

@@ -9,7 +9,8 @@ from unifeed_ros.core.capture.touches import inside_any, judge_recording
 from unifeed_ros.core.errors import InputError
 
 LINKS_4_TO_7 = ("a4", "a5", "b6", "b8", "c2", "c3", "c6", "d3")
-UR_JOINTS = tuple(f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", *(f"wrist_{k}" for k in (1, 2, 3))))
+UR_JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint",
+             "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 
 
 @pytest.mark.parametrize("name", LINKS_4_TO_7)

@@ -162,8 +162,6 @@ class FeedbackCapture:
         return captured
 
     def _begin(self, time: float, mode: TeachingMode, motion_id: str) -> None:
-        if mode is TeachingMode.TRACK:
-            self._record.clear()
         if mode in (TeachingMode.TRACK, TeachingMode.GUIDE) and not self._record.running:
             self._record.start()
         self._mode, self._motion_id, self._began = mode, motion_id, time
