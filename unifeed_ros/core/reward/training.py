@@ -40,9 +40,9 @@ class TrainingConfig:
     """Weight of eq. M6 in the sum N_q: how often each ranked pair stands in the buffer."""
     batch: int = 32
     """Alternatives seen in one step, shared evenly by demonstrations and corrections."""
-    steps: int = 400
+    steps: int = 250
     """Steps of the optimiser from scratch."""
-    learning_rate: float = 5e-3
+    learning_rate: float = 7e-3
     """Learning rate at the start; it falls to zero along a half cosine."""
     weight_penalty: float = 1e-3
     """Weight of the sum of squared weights of each member."""
