@@ -54,6 +54,10 @@ class SetupError(Exception):
     """Something is missing; the message says in one line what, and how to get it."""
 
 
+class KilledError(SetupError):
+    """A command was ended from outside, and may have left half of its work."""
+
+
 @dataclass(frozen=True)
 class Interpreter:
     """One Python, as it described itself."""
@@ -180,6 +184,7 @@ def run(command: Sequence[str], what: str, env: Mapping[str, str], lock: int) ->
 
     Raises:
         SetupError: It failed.
+        KilledError: It was ended by a signal.
     """
     log, begun = STATE / (what.split()[0] + ".log"), time.monotonic()
     say(f"{what} ...")
@@ -196,6 +201,9 @@ def run(command: Sequence[str], what: str, env: Mapping[str, str], lock: int) ->
             if process.poll() is None:
                 process.terminate()
                 process.wait()
+    what = what.split(" (")[0]
+    if process.returncode < 0:
+        raise KilledError(f"{what} was killed by signal {-process.returncode} (is there enough memory?): run it again")
     if process.returncode:
         raise SetupError(explain(what, log.read_text(errors="replace"), log))
 
@@ -296,7 +304,7 @@ class Setup:
             shutil.rmtree(VENV)
         site = ["--system-site-packages"] if self.choice.ros == "sourced" else []
         made = subprocess.run([python.path, "-m", "venv", *site, str(VENV)], stdout=subprocess.PIPE,
-                              stderr=subprocess.STDOUT, env=self.env)
+                              stderr=subprocess.STDOUT, env=self.env, pass_fds=(self.lock,))
         if made.returncode:
             raise SetupError(f"{python.path} -m venv failed: {made.stdout.decode(errors='replace').strip()[-200:]}")
         STATE.mkdir()
@@ -307,9 +315,12 @@ class Setup:
         requirements = [word for file in files for word in ("-r", str(file))]
         try:
             self.pip("packages (a few minutes the first time)", "--retries", "2", *requirements)
-        finally:
-            if sys.exc_info()[0] in (None, SetupError):  # pip ended by itself and left nothing half installed
-                self.half_done.unlink()
+        except KilledError:
+            raise
+        except SetupError:
+            self.half_done.unlink()  # pip ended by itself and left nothing half installed
+            raise
+        self.half_done.unlink()
 
     def pip(self, what: str, *arguments: str) -> None:
         """Run the environment's pip."""
@@ -407,6 +418,9 @@ def main() -> int:
     except SetupError as error:
         print(f"setup: {error}", file=sys.stderr)
         return 2
+    except OSError as error:
+        print(f"setup: {error}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("setup: interrupted; run it again to go on", file=sys.stderr)
         return 130
