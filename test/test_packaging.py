@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import runpy
 import sys
 import types
@@ -137,3 +138,11 @@ def test_launch_files_start_the_nodes_of_the_table(launch_library, file, given):
         speed=float(context.get("speed", 1)), bag=Path(context["bag"]).resolve() if context["bag"] else None))
     assert [(n.named["package"], n.named["executable"], n.named["arguments"]) for n in nodes] == [
         ("unifeed_ros", spec.executable, spec.arguments()) for spec in table]
+
+
+def test_readme_links_and_commands_exist():
+    text = (ROOT / "README.md").read_text()
+    for link in re.findall(r"\]\(([^)#]+)\)", text):
+        assert link.startswith(("http", "docs/images/")) or (ROOT / link).exists(), link
+    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.M))
+    assert set(re.findall(r"\bmake (demo|test|lint|bench|clean|setup)\b", text)) <= targets
