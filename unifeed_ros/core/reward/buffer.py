@@ -32,7 +32,7 @@ class AlternativesConfig:
     """Share of alternatives that tilt the axis, half of them without moving the tool: what matters must show alone."""
     delay_sizes: Sequence[float] = (0.05, 0.1, 0.2)
     """Sizes of the delay, one drawn for each alternative that is delayed [share of the whole motion]."""
-    delay_share: float = 0.15
+    delay_share: float = 0.1
     """Share of alternatives that follow the shown path but fall behind: without them the reward peaks somewhere on
     the path, and the planner waits there."""
     free_end_share: float = 0.5

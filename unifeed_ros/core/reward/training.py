@@ -36,8 +36,9 @@ class TrainingConfig:
     """Alternatives of each demonstration N_d, and the weight of eq. M4 in the sum."""
     correction_comparisons: int = 200
     """Alternatives of each correction N_c, and the weight of eq. M5 in the sum."""
-    preference_comparisons: int = 200
-    """Weight of eq. M6 in the sum N_q: how often each ranked pair stands in the buffer."""
+    preference_comparisons: int = 50
+    """Weight of eq. M6 in the sum N_q: how often each ranked pair stands in the buffer. Less than the others because
+    the better of two motions, unlike what was shown, need not be good."""
     batch: int = 32
     """Alternatives seen in one step, shared evenly by demonstrations and corrections."""
     steps: int = 250
