@@ -8,6 +8,9 @@ from pathlib import Path
 from unifeed_ros.core.errors import UnifeedError
 from unifeed_ros.resources import config_path
 
+SPEEDS = (0.05, 20.0)
+"""Slowest and fastest run of the simulation [simulated seconds per second]."""
+
 
 class UserMistake(UnifeedError):
     """Something on the command line, or about this machine, that the user can mend; exit status 2."""
@@ -53,6 +56,23 @@ def prepare_folder(folder: Path) -> Path:
     if (folder / "bag").exists():
         raise UserMistake(f"folder {folder} holds a recording already", mend="give another one with --out, or remove it")
     return folder
+
+
+def require_speed(speed: float) -> float:
+    """Refuse speeds that the simulation cannot run at.
+
+    Args:
+        speed: Simulated seconds per second.
+
+    Returns:
+        The speed.
+
+    Raises:
+        UserMistake: Outside 0.05 to 20.
+    """
+    if not SPEEDS[0] <= speed <= SPEEDS[1]:
+        raise UserMistake("--speed", expected=f"{SPEEDS[0]} to {SPEEDS[1]:.0f}", got=speed)
+    return speed
 
 
 def domain() -> str:

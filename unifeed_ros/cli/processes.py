@@ -70,7 +70,7 @@ class NodeProcesses:
         with (self._logs / f"{spec.executable}.log").open("wb") as log:
             self._processes[spec.executable] = subprocess.Popen(
                 command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, start_new_session=True,
-                env=node_environment(), preexec_fn=_die_with_parent)  # noqa: PLW1509
+                env=node_environment(), preexec_fn=_die_with_parent)
 
     def _end(self, names: Sequence[str], grace: float) -> None:
         running = [self._processes[n] for n in names if self._processes[n].poll() is None]

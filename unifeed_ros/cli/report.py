@@ -200,7 +200,7 @@ def _draw_scene(axis: Axes, yardstick: Yardstick, first: int, second: int) -> No
     axis.annotate("goal", (scene.goal[first], scene.goal[second]), textcoords="offset points", xytext=(8, 4), fontsize=8)
 
 
-def _without_nan(value: Any) -> Any:  # noqa: ANN401
+def _without_nan(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _without_nan(v) for k, v in value.items()}
     if isinstance(value, list):

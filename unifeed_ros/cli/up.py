@@ -7,10 +7,10 @@ import sys
 import time
 from pathlib import Path
 
-from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder, session_files
+from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder, require_speed, session_files
 from unifeed_ros.cli.monitor import SessionMonitor
 from unifeed_ros.cli.processes import NodeProcesses
-from unifeed_ros.core.planning.plan import plan_motion
+from unifeed_ros.core.planning.plan import PlannerConfig, plan_motion
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
 from unifeed_ros.nodes.table import SessionSetup, node_table
@@ -35,10 +35,11 @@ def run_up(options: argparse.Namespace) -> int:
     files = session_files(options.robot, options.task)
     if options.teacher and not options.sim:
         raise UserMistake("--teacher", expected="--sim beside it: a simulated person pushes a simulated arm only")
+    speed = require_speed(options.speed)
     check_scene(files)
     out = prepare_folder(options.out or Path("out") / time.strftime("session-%Y%m%d-%H%M%S"))
     setup = SessionSetup(parameter_files=files, simulated=options.sim, taught_by=options.teacher.upper(), seed=options.seed,
-                         speed=options.speed, bag=out / "bag")
+                         speed=speed, bag=out / "bag")
     with SessionMonitor() as monitor:
         if monitor.session_is_running():
             raise UserMistake(f"a session is already running on ROS_DOMAIN_ID {domain()}",
@@ -60,7 +61,7 @@ def check_scene(files: tuple[Path, ...]) -> None:
     robot, scene = RobotModel(load_robot(files[0])), load_scene(files[1])
     start = robot.inverse_kinematics(scene.start, scene.axis)
     goal = robot.inverse_kinematics(scene.goal, scene.axis, seed=start)
-    plan = plan_motion(robot, None, start, goal, duration=scene.duration, scene=scene)
+    plan = plan_motion(robot, None, start, goal, duration=scene.duration, scene=scene, config=PlannerConfig())
     if not plan.success:
         raise UserMistake(f"no motion for task {scene.task} on {robot.config.name}", got=plan.message)
 

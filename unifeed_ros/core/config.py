@@ -13,6 +13,8 @@ from unifeed_ros.core.errors import ConfigError
 
 T = TypeVar("T")
 
+_SCALARS: Mapping[str, tuple[type, ...]] = {"float": (float, int), "int": (int,), "bool": (bool,), "str": (str,)}
+
 
 def load_parameters(path: Path) -> dict[str, Any]:
     """Read a ROS 2 parameter file of the form ``/**: ros__parameters: ...``.
@@ -36,7 +38,9 @@ def load_parameters(path: Path) -> dict[str, Any]:
         parameters = tree["/**"]["ros__parameters"]
     except (TypeError, KeyError) as error:
         raise ConfigError(f"parameter file {path}", expected="/**: ros__parameters:") from error
-    return dict(parameters)
+    if not isinstance(parameters, dict):
+        raise ConfigError(f"parameter file {path}", expected="sections below ros__parameters:", got=parameters)
+    return parameters
 
 
 def from_mapping(kind: type[T], values: Mapping[str, Any], where: str) -> T:
@@ -57,7 +61,12 @@ def from_mapping(kind: type[T], values: Mapping[str, Any], where: str) -> T:
     unknown = sorted(set(values) - set(fields))
     if unknown:
         raise ConfigError(f"{where} has unknown settings", expected=", ".join(fields), got=", ".join(unknown))
-    required = {n for n, f in fields.items() if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING}
+    required = {name for name, field in fields.items()
+                if field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING}
+    for name, value in values.items():
+        kinds = _SCALARS.get(str(fields[name].type))
+        if kinds and (not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds)):
+            raise ConfigError(f"{where}: {name}", expected=f"a value of type {fields[name].type}", got=repr(value))
     missing = sorted(required - set(values))
     if missing:
         raise ConfigError(f"{where} lacks settings", expected=", ".join(missing))

@@ -37,7 +37,7 @@ def field_docs(kind: type) -> Mapping[str, str]:
     return docs
 
 
-def settings(node: Node, section: str, kind: type[T], **fixed: Any) -> T:  # noqa: ANN401
+def settings(node: Node, section: str, kind: type[T], **fixed: Any) -> T:
     """Declare one section of parameters from a dataclass and build it from what the node was given.
 
     The parameters are read-only: settings change by starting the node anew. The node must declare its overrides

@@ -94,7 +94,7 @@ class RewardLearnerNode(UnifeedNode):
     def _answering(self, serve: Callable[[Any, Any], str]) -> Callable[[Any, Any], Any]:
         """Turn a function that returns a sentence or raises into a service callback."""
 
-        def callback(request: Any, response: Any) -> Any:  # noqa: ANN401
+        def callback(request: Any, response: Any) -> Any:
             try:
                 response.message = serve(request, response)
                 response.success = True

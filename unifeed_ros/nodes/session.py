@@ -348,15 +348,15 @@ class SessionNode(UnifeedNode):
         if not response.success:
             raise LessonError(f"mode not changed: {response.message}", mend="reset goes on")
 
-    def _call(self, client: Client, request: Any, timeout: float) -> Any:  # noqa: ANN401
+    def _call(self, client: Client, request: Any, timeout: float) -> Any:
         if not client.wait_for_service(timeout_sec=5.0):
             raise LessonError(f"service {client.srv_name} is not there", mend="start its node, then reset")
         return self._wait(client.call_async(request), timeout, client.srv_name)
 
-    def _act(self, client: ActionClient, goal: Any, timeout: float | None) -> tuple[Any, int]:  # noqa: ANN401
+    def _act(self, client: ActionClient, goal: Any, timeout: float | None) -> tuple[Any, int]:
         if not client.wait_for_server(timeout_sec=5.0):
             raise LessonError("an action is not there", mend="start its node, then reset")
-        handle = self._wait(client.send_goal_async(goal), 5.0, "action goal")
+        handle = self._wait(client.send_goal_async(goal), 15.0, "action goal")
         if not handle.accepted:
             raise LessonError("motion refused by the controller or the optimizer", mend="see its log; reset goes on")
         if client is self._execute:
@@ -369,9 +369,11 @@ class SessionNode(UnifeedNode):
         finally:
             if client is self._execute:
                 self._goal = None
+        if self._interrupt.is_set():
+            raise _Interrupted
         return answer.result, answer.status
 
-    def _wait(self, future: Future, timeout: float | None, what: str) -> Any:  # noqa: ANN401
+    def _wait(self, future: Future, timeout: float | None, what: str) -> Any:
         done = threading.Event()
         future.add_done_callback(lambda _: done.set())
         deadline = None if timeout is None else time.monotonic() + timeout
@@ -442,7 +444,7 @@ class SessionNode(UnifeedNode):
             header=self._header(), phase=self._phase, interactions=len(self._taught), taught="".join(self._taught),
             message=self._message))
 
-    def _header(self) -> Any:  # noqa: ANN401
+    def _header(self) -> Any:
         msg = LessonState().header
         msg.frame_id = self._robot.config.base_frame
         msg.stamp = self._teaching.header.stamp if self._teaching is not None else self.get_clock().now().to_msg()

@@ -177,7 +177,7 @@ class SharedControlNode(UnifeedNode):
             return
         now = time.monotonic()
         if not self._controller.check_fresh(now - self._arrived):
-            self.say(ERROR, f"no joint state for {now - self._arrived:.2f} s")
+            self.say(ERROR, "joint states stopped coming: check the robot's driver")
             if self._execution is not None:
                 self._end(self._execution, "joint states stopped coming")
         if (self._execution is not None and self._session_seen is not None

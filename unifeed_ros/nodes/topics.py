@@ -54,7 +54,7 @@ ALL_NODES = ("sim_arm", "sim_teacher", "capture", "reward_learner", "trajectory_
 
 TOPICS: tuple[Topic, ...] = (
     Topic("joint_states", JOINT_STATE, SENSOR, 1000.0, ("sim_arm",),
-          ("sim_teacher", "capture", "shared_control", "session")),
+          ("sim_teacher", "capture", "shared_control")),
     Topic("external_torques", JOINT_STATE, SENSOR, 1000.0, ("sim_arm",), ("capture", "shared_control")),
     Topic("hand_wrench", "geometry_msgs/msg/WrenchStamped", SENSOR, 500.0, ("sim_teacher",), ("sim_arm",)),
     Topic("joint_command", JOINT_STATE, SENSOR, 500.0, ("shared_control",), ("sim_arm",)),
@@ -62,16 +62,17 @@ TOPICS: tuple[Topic, ...] = (
           ("sim_teacher", "capture", "session")),
     Topic("trajectory", TRAJECTORY, LATCHED, 0.0, ("shared_control",), ("sim_teacher", "capture")),
     Topic("trajectory_preview", TRAJECTORY, LATCHED, 0.0, ("trajectory_optimizer",), ()),
-    Topic("contact", "unifeed_msgs/msg/Contact", STREAM, 100.0, ("capture",), ("session",)),
+    Topic("contact", "unifeed_msgs/msg/Contact", STREAM, 100.0, ("capture",), ()),
     Topic("feedback", "unifeed_msgs/msg/Feedback", EVENT, 0.0, ("capture", "reward_learner"),
           ("reward_learner", "session")),
-    Topic("reward_model", "unifeed_msgs/msg/RewardModel", LATCHED, 0.0, ("reward_learner",), ("trajectory_optimizer",)),
-    Topic("reward_status", "unifeed_msgs/msg/RewardStatus", LATCHED, 0.0, ("reward_learner",), ("session",)),
+    Topic("reward_model", "unifeed_msgs/msg/RewardModel", LATCHED, 0.0, ("reward_learner",),
+          ("trajectory_optimizer", "session")),
+    Topic("reward_status", "unifeed_msgs/msg/RewardStatus", LATCHED, 0.0, ("reward_learner",), ()),
     Topic("preference_query", "unifeed_msgs/msg/PreferenceQuery", LATCHED, 0.0, ("session",), ("sim_teacher",)),
-    Topic("lesson_state", "unifeed_msgs/msg/LessonState", STREAM, 10.0, ("session",), ("sim_teacher",)),
+    Topic("lesson_state", "unifeed_msgs/msg/LessonState", STREAM, 10.0, ("session",), ("sim_teacher", "shared_control")),
     Topic("interaction", "unifeed_msgs/msg/Interaction", EVENT, 0.0, ("session",), ()),
-    Topic("/clock", "rosgraph_msgs/msg/Clock", STREAM, 100.0, ("sim_arm",), ALL_NODES),
-    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", STREAM, 1.0, ALL_NODES, ()),
+    Topic("/clock", "rosgraph_msgs/msg/Clock", STREAM, 100.0, ("sim_arm",), ()),
+    Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", STREAM, 1.0, ALL_NODES, ("session",)),
 )
 
 BY_NAME = {topic.name.lstrip("/"): topic for topic in TOPICS}

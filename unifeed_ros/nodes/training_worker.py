@@ -40,7 +40,7 @@ class TrainingWorker:
         return float(self._shared.value)
 
     def train(self, done: Future, dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig,
-              **arguments: Any) -> None:  # noqa: ANN401
+              **arguments: Any) -> None:
         """Start a training.
 
         Args:
