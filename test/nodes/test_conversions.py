@@ -101,14 +101,32 @@ def test_a_context_comes_back():
     np.testing.assert_array_equal(back.objects["laptop"], context.objects["laptop"])
 
 
-@pytest.mark.parametrize("item", [
-    Demonstration(id="d", robot="r", context=some_context(), trajectory=some_trajectory()),
-    Correction(id="c", robot="r", context=some_context(), planned=some_trajectory(1), corrected=some_trajectory(2),
-               span=(0.5, 1.5)),
-    Preference(id="p", robot="r", context=some_context(), options=(some_trajectory(3), some_trajectory(4)), ranks=(1, 0),
-               query_id="query-1"),
-    Preference(id="n", robot="r", context=some_context(), options=(some_trajectory(3), some_trajectory(4)), ranks=()),
-], ids=["demonstration", "correction", "preference", "neither"])
+@pytest.mark.parametrize(
+    "item",
+    [
+        Demonstration(id="d", robot="r", context=some_context(), trajectory=some_trajectory()),
+        Correction(
+            id="c",
+            robot="r",
+            context=some_context(),
+            planned=some_trajectory(1),
+            corrected=some_trajectory(2),
+            span=(0.5, 1.5),
+        ),
+        Preference(
+            id="p",
+            robot="r",
+            context=some_context(),
+            options=(some_trajectory(3), some_trajectory(4)),
+            ranks=(1, 0),
+            query_id="query-1",
+        ),
+        Preference(
+            id="n", robot="r", context=some_context(), options=(some_trajectory(3), some_trajectory(4)), ranks=()
+        ),
+    ],
+    ids=["demonstration", "correction", "preference", "neither"],
+)
 def test_feedback_comes_back(item):
     back = feedback_from_msg(feedback_to_msg(item, 12.5, "base"), NAMES)
     assert type(back) is type(item) and (back.id, back.robot) == (item.id, item.robot)

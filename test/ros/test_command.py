@@ -1,4 +1,4 @@
-"""The command `unifeed` with real nodes: a lesson from start to report, endings, and everything a user can get wrong."""
+"""The command `unifeed` with real nodes: a lesson from start to report, endings, and what a user can get wrong."""
 
 from __future__ import annotations
 

@@ -83,7 +83,10 @@ def test_the_nodes_are_what_the_tables_say(session, ros_node, spin_until):
             if end.node_name in writers:
                 wanted = publisher_qos(topic)
                 assert end.topic_type == topic.type
-                assert (end.qos_profile.reliability, end.qos_profile.durability) == (wanted.reliability, wanted.durability)
+                assert (end.qos_profile.reliability, end.qos_profile.durability) == (
+                    wanted.reliability,
+                    wanted.durability,
+                )
         readers = {s.node_name for s in ros_node.get_subscriptions_info_by_topic(full)}
         ours = {r for r in topic.readers if r not in OUTSIDE}
         assert ours <= readers, f"readers of {topic.name}: the table says {sorted(ours)}, there are {sorted(readers)}"
@@ -118,12 +121,19 @@ def test_messages_come_at_the_rates_of_the_table(session, ros_node, spin_until):
     assert {t.name for t in slow} <= set(counts)
     for topic in slow:
         rate = (counts[topic.name] - 1) / (last[topic.name] - first[topic.name])
-        assert 0.3 * topic.rate < rate < 1.6 * topic.rate, f"{topic.name}: {rate:.0f} Hz, the table says {topic.rate:.0f}"
+        assert 0.3 * topic.rate < rate < 1.6 * topic.rate, (
+            f"{topic.name}: {rate:.0f} Hz, the table says {topic.rate:.0f}"
+        )
 
 
 def test_empty_requests_are_answered_with_a_sentence(session, call):
-    for kind, name in ((TrainReward, "train_reward"), (EvaluateReward, "evaluate_reward"), (SelectQuery, "select_query"),
-                       (AnswerQuery, "answer_query"), (UndoFeedback, "undo_feedback")):
+    for kind, name in (
+        (TrainReward, "train_reward"),
+        (EvaluateReward, "evaluate_reward"),
+        (SelectQuery, "select_query"),
+        (AnswerQuery, "answer_query"),
+        (UndoFeedback, "undo_feedback"),
+    ):
         answer = call(kind, name)
         assert not answer.success and len(answer.message) > 10, f"{name}: {answer}"
     nothing = call(ListFeedback, "list_feedback")
@@ -142,7 +152,9 @@ def test_plans_are_made_refused_and_canceled(session):
     far.context.goal.x = 3.0
     refused, status, _ = session.act(OptimizeTrajectory, "optimize_trajectory", far)
     assert status == 6 and not refused.success and "out of reach" in refused.message
-    outside, status, _ = session.act(OptimizeTrajectory, "optimize_trajectory", OptimizeTrajectory.Goal(start=[9.0] * 7))
+    outside, status, _ = session.act(
+        OptimizeTrajectory, "optimize_trajectory", OptimizeTrajectory.Goal(start=[9.0] * 7)
+    )
     assert status == 6 and "outside its limits" in outside.message and "9.000 rad" in outside.message
     nothing, status, _ = session.act(ExecuteTrajectory, "execute_trajectory", ExecuteTrajectory.Goal())
     assert status == 6 and "without positions" in nothing.message
@@ -150,13 +162,17 @@ def test_plans_are_made_refused_and_canceled(session):
 
 def test_a_motion_is_carried_out_stopped_and_recovered_from(session, call):
     plan, _, _ = session.act(OptimizeTrajectory, "optimize_trajectory", OptimizeTrajectory.Goal())
-    done, status, _ = session.act(ExecuteTrajectory, "execute_trajectory", ExecuteTrajectory.Goal(trajectory=plan.trajectory))
+    done, status, _ = session.act(
+        ExecuteTrajectory, "execute_trajectory", ExecuteTrajectory.Goal(trajectory=plan.trajectory)
+    )
     assert status == 4 and done.success and not done.touched
     assert done.tracking_rms < 0.02
     end = np.array(done.executed.points[-1].positions)
     np.testing.assert_allclose(end, np.array(plan.trajectory.points[-1].positions), atol=0.05)
 
-    again, status, _ = session.act(ExecuteTrajectory, "execute_trajectory", ExecuteTrajectory.Goal(trajectory=plan.trajectory))
+    again, status, _ = session.act(
+        ExecuteTrajectory, "execute_trajectory", ExecuteTrajectory.Goal(trajectory=plan.trajectory)
+    )
     assert status == 6 and "starts elsewhere" in again.message
 
     assert call(Trigger, "reset").success

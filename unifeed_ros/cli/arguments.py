@@ -54,7 +54,9 @@ def prepare_folder(folder: Path) -> Path:
         raise UserMistake(f"folder {folder} cannot be used", got=error.strerror or str(error),
                           mend="give another one with --out") from error
     if (folder / "bag").exists():
-        raise UserMistake(f"folder {folder} holds a recording already", mend="give another one with --out, or remove it")
+        raise UserMistake(
+            f"folder {folder} holds a recording already", mend="give another one with --out, or remove it"
+        )
     return folder
 
 

@@ -15,14 +15,18 @@ import numpy as np
 
 from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder
 
-TABLE_LESSONS = tuple(("panda", "table", seed) for seed in range(10)) + tuple(("ur10", "table", seed) for seed in range(5))
+TABLE_LESSONS = tuple(("panda", "table", seed) for seed in range(10)) + tuple(
+    ("ur10", "table", seed) for seed in range(5)
+)
 """Robot, task and seed of each lesson."""
 
 
 def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `bench` to the command line."""
     parser = commands.add_parser("bench", help="measure: lesson")
-    parser.add_argument("name", choices=["lesson", "all"], help="lesson: whole demos, Panda seeds 0-9 and UR10 seeds 0-4")
+    parser.add_argument(
+        "name", choices=["lesson", "all"], help="lesson: whole demos, Panda seeds 0-9 and UR10 seeds 0-4"
+    )
     parser.add_argument("--robot", action="append", help="only this robot (may be repeated)")
     parser.add_argument("--task", default="table", help="task of every lesson (default: table)")
     parser.add_argument("--seeds", type=int, help="number of seeds a robot (default: 10 for panda, 5 for ur10)")
@@ -49,8 +53,11 @@ def run_bench(options: argparse.Namespace) -> int:
 
 def markdown(table: dict[str, Any]) -> str:
     """Write the summary as a Markdown table."""
-    lines = ["| robot | task | lessons | ok | median after first input | median final | 90th percentile | worst | better than "
-             "first | median time [s] |", "| --- " * 10 + "|"]
+    lines = [
+        "| robot | task | lessons | ok | median after first input | median final | 90th percentile | worst | better "
+        "than first | median time [s] |",
+        "| --- " * 10 + "|",
+    ]
     for s in table["summary"]:
         lines.append(f"| {s['robot']} | {s['task']} | {s['lessons']} | {s['ok']} | {s['first_median']:.3f} | "
                      f"{s['final_median']:.3f} | {s['final_p90']:.3f} | {s['final_worst']:.3f} | "
@@ -82,7 +89,11 @@ def _run_lesson(robot: str, task: str, seed: int, out: Path, speed: float) -> di
         regrets = [i["normalised_regret"] for i in figures["interactions"]]
         if regrets:
             row.update(first=regrets[0], final=regrets[-1], regrets=regrets)
-        row["message"], row["dropped"], row["loop"] = figures["message"], figures["recording"]["dropped"], figures["loop"]
+        row["message"], row["dropped"], row["loop"] = (
+            figures["message"],
+            figures["recording"]["dropped"],
+            figures["loop"],
+        )
     if not row["ok"]:
         row["message"] = row["message"] or (done.stderr.strip().splitlines() or [f"on domain {domain()}"])[-1]
     return row

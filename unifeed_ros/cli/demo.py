@@ -28,8 +28,12 @@ def add_demo_command(commands: argparse._SubParsersAction[argparse.ArgumentParse
     """Add `demo` to the command line."""
     parser = commands.add_parser("demo", help="watch a simulated arm being taught, from start to report")
     parser.add_argument("--robot", default="panda", help="panda or ur10, or a YAML file (default: panda)")
-    parser.add_argument("--task", default="table", help="table, laptop, cup or proximity, or a YAML file (default: table)")
-    parser.add_argument("--feedback", default="DDCCPP", help="D demonstration, C correction, P preference, in any order")
+    parser.add_argument(
+        "--task", default="table", help="table, laptop, cup or proximity, or a YAML file (default: table)"
+    )
+    parser.add_argument(
+        "--feedback", default="DDCCPP", help="D demonstration, C correction, P preference, in any order"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the simulated person, the noise and the training")
     parser.add_argument("--speed", type=float, default=1.0, help="simulated seconds per second (default: 1)")
     parser.add_argument("--out", type=Path, help="folder for report, figures and bag (default: out/demo-<date>-<time>)")

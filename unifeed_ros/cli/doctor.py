@@ -138,6 +138,11 @@ def _loop() -> tuple[bool, str]:
 
 
 CHECKS: dict[str, Callable[[], tuple[bool, str]]] = {
-    "python": _python, "packages": _packages, "messages": _messages, "robots": _robots, "traffic": _traffic, "disk": _disk,
+    "python": _python,
+    "packages": _packages,
+    "messages": _messages,
+    "robots": _robots,
+    "traffic": _traffic,
+    "disk": _disk,
     "control loop": _loop,
 }

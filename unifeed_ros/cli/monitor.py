@@ -32,15 +32,21 @@ class SessionMonitor:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._node.create_subscription(LessonState, "lesson_state", self._on_lesson, subscriber_qos("lesson_state"))
-        self._node.create_subscription(Interaction, "interaction", self.interactions.append, subscriber_qos("interaction"))
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, publisher_qos("diagnostics"))
+        self._node.create_subscription(
+            Interaction, "interaction", self.interactions.append, subscriber_qos("interaction")
+        )
+        self._node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, publisher_qos("diagnostics")
+        )
         self._stop = self._node.create_client(Trigger, "stop")
 
     def __enter__(self) -> SessionMonitor:
         """Use as a context manager: leaving it ends the node."""
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         """End the node."""
         self._executor.shutdown()
         self._node.destroy_node()

@@ -76,15 +76,27 @@ def build_report(yardstick: Yardstick, monitor: SessionMonitor, *, seed: int, ok
     rows = [_interaction_row(yardstick, i) for i in monitor.interactions]
     last = rows[-1] if rows else {"regret": math.nan, "normalised_regret": math.nan}
     return Report(
-        robot=yardstick.robot.config.name, task=yardstick.task.name, seed=seed, feedback=letters, ok=ok, message=message,
+        robot=yardstick.robot.config.name,
+        task=yardstick.task.name,
+        seed=seed,
+        feedback=letters,
+        ok=ok,
+        message=message,
         interactions=rows,
-        final={"regret": last["regret"], "normalised_regret": last["normalised_regret"],
-               "optimal_return": yardstick.optimal_return, "straight_return": yardstick.straight_return},
-        loop={"rate_hz": monitor.figure("shared_control", "rate_hz"),
-              "period_p99_ms": monitor.figure("shared_control", "period_p99_ms"),
-              "latency_p99_ms": monitor.figure("sim_arm", "latency_p99_ms"),
-              "missed_deadlines": monitor.figure("shared_control", "missed_deadlines")},
-        recording=_recording(bag, monitor))
+        final={
+            "regret": last["regret"],
+            "normalised_regret": last["normalised_regret"],
+            "optimal_return": yardstick.optimal_return,
+            "straight_return": yardstick.straight_return,
+        },
+        loop={
+            "rate_hz": monitor.figure("shared_control", "rate_hz"),
+            "period_p99_ms": monitor.figure("shared_control", "period_p99_ms"),
+            "latency_p99_ms": monitor.figure("sim_arm", "latency_p99_ms"),
+            "missed_deadlines": monitor.figure("shared_control", "missed_deadlines"),
+        },
+        recording=_recording(bag, monitor),
+    )
 
 
 def save_report(report: Report, yardstick: Yardstick, monitor: SessionMonitor, out: Path) -> None:
@@ -106,7 +118,10 @@ def draw_paths(yardstick: Yardstick, executed: list[Trajectory], path: Path) -> 
     """
     figure, axes = plt.subplots(1, 2, figsize=(12, 5.2), constrained_layout=True)
     scene = yardstick.task.scene
-    for axis, (first, second), title in ((axes[0], (1, 2), "seen from the front"), (axes[1], (0, 1), "seen from above")):
+    for axis, (first, second), title in (
+        (axes[0], (1, 2), "seen from the front"),
+        (axes[1], (0, 1), "seen from above"),
+    ):
         _draw_scene(axis, yardstick, first, second)
         line = _tool(yardstick, straight_line(yardstick.robot, scene, 50))
         axis.plot(line[:, first], line[:, second], ":", color=MUTED, lw=1.5, label="straight line (before learning)")
@@ -124,7 +139,9 @@ def draw_paths(yardstick: Yardstick, executed: list[Trajectory], path: Path) -> 
         axis.set_aspect("equal", adjustable="datalim")
         axis.grid(alpha=0.25)
     axes[1].legend(fontsize=8, loc="best", framealpha=0.9)
-    figure.suptitle(f"{yardstick.robot.config.name}, task {yardstick.task.name}: path of the tool as the arm carried it out")
+    figure.suptitle(
+        f"{yardstick.robot.config.name}, task {yardstick.task.name}: path of the tool as the arm carried it out"
+    )
     figure.savefig(path, dpi=130)
     plt.close(figure)
 
@@ -135,9 +152,18 @@ def draw_regret(report: Report, path: Path) -> None:
     index = [row["index"] for row in report.interactions]
     axis.axhline(1.0, color=MUTED, ls=":", label="straight line: not learning")
     axis.axhline(0.0, color=BEST, ls="--", label="optimum")
-    axis.plot(index, [row["normalised_regret"] for row in report.interactions], "o-", color=FINAL, lw=2, label="executed")
-    axis.plot(index, [row["planned_normalised_regret"] for row in report.interactions], "s", color=INK, ms=4, mfc="none",
-              label="planned")
+    axis.plot(
+        index, [row["normalised_regret"] for row in report.interactions], "o-", color=FINAL, lw=2, label="executed"
+    )
+    axis.plot(
+        index,
+        [row["planned_normalised_regret"] for row in report.interactions],
+        "s",
+        color=INK,
+        ms=4,
+        mfc="none",
+        label="planned",
+    )
     axis.set_xticks(index, [f"{row['index']}\n{row['kind']}" for row in report.interactions], fontsize=8)
     axis.set(xlabel="interaction", ylabel="normalised regret",
              title=f"{report.robot}, task {report.task}, seed {report.seed}")
@@ -195,9 +221,13 @@ def _draw_scene(axis: Axes, yardstick: Yardstick, first: int, second: int) -> No
         axis.plot(position[first], position[second], "X", color=INK, ms=10)
         axis.annotate(name, (position[first], position[second]), textcoords="offset points", xytext=(8, 6), fontsize=8)
     axis.plot(scene.start[first], scene.start[second], "o", color=INK, ms=7)
-    axis.annotate("start", (scene.start[first], scene.start[second]), textcoords="offset points", xytext=(8, 4), fontsize=8)
+    axis.annotate(
+        "start", (scene.start[first], scene.start[second]), textcoords="offset points", xytext=(8, 4), fontsize=8
+    )
     axis.plot(scene.goal[first], scene.goal[second], "*", color=BEST, ms=14)
-    axis.annotate("goal", (scene.goal[first], scene.goal[second]), textcoords="offset points", xytext=(8, 4), fontsize=8)
+    axis.annotate(
+        "goal", (scene.goal[first], scene.goal[second]), textcoords="offset points", xytext=(8, 4), fontsize=8
+    )
 
 
 def _without_nan(value: Any) -> Any:

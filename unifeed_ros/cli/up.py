@@ -20,7 +20,9 @@ def add_up_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]
     """Add `up` to the command line."""
     parser = commands.add_parser("up", help="start the nodes of a session; Ctrl-C ends them all")
     parser.add_argument("--robot", required=True, help="panda or ur10, or a YAML file")
-    parser.add_argument("--task", default="table", help="table, laptop, cup or proximity, or a YAML file (default: table)")
+    parser.add_argument(
+        "--task", default="table", help="table, laptop, cup or proximity, or a YAML file (default: table)"
+    )
     parser.add_argument("--sim", action="store_true", help="with the simulated arm in place of the robot's driver")
     parser.add_argument("--teacher", default="", metavar="LETTERS",
                         help="with a simulated person who teaches, for example DDCCPP (needs --sim)")
@@ -38,8 +40,14 @@ def run_up(options: argparse.Namespace) -> int:
     speed = require_speed(options.speed)
     check_scene(files)
     out = prepare_folder(options.out or Path("out") / time.strftime("session-%Y%m%d-%H%M%S"))
-    setup = SessionSetup(parameter_files=files, simulated=options.sim, taught_by=options.teacher.upper(), seed=options.seed,
-                         speed=speed, bag=out / "bag")
+    setup = SessionSetup(
+        parameter_files=files,
+        simulated=options.sim,
+        taught_by=options.teacher.upper(),
+        seed=options.seed,
+        speed=speed,
+        bag=out / "bag",
+    )
     with SessionMonitor() as monitor:
         if monitor.session_is_running():
             raise UserMistake(f"a session is already running on ROS_DOMAIN_ID {domain()}",

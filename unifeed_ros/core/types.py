@@ -33,7 +33,9 @@ def frozen_array(what: str, values: ArrayLike, shape: tuple[int | None, ...]) ->
         wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape) + ")"
         raise ShapeError(f"shape of {what}", expected=wanted, got=array.shape)
     if not np.isfinite(array).all():
-        raise InputError(f"{what} is not finite", expected="numbers", got=f"{int((~np.isfinite(array)).sum())} NaN or inf")
+        raise InputError(
+            f"{what} is not finite", expected="numbers", got=f"{int((~np.isfinite(array)).sum())} NaN or inf"
+        )
     array.flags.writeable = False
     return array
 
@@ -57,7 +59,9 @@ class Trajectory:
         """Check shapes, order and finiteness."""
         times = frozen_array("times", self.times, (None,))
         if len(times) < 2 or not (np.diff(times) > 0).all():
-            raise InputError("times of a trajectory", expected="at least two, strictly increasing", got=f"{len(times)} points")
+            raise InputError(
+                "times of a trajectory", expected="at least two, strictly increasing", got=f"{len(times)} points"
+            )
         shape = (len(times), len(self.joint_names))
         object.__setattr__(self, "joint_names", tuple(self.joint_names))
         object.__setattr__(self, "times", times)

@@ -43,7 +43,9 @@ class CaptureNode(UnifeedNode):
         self._robot = self.load_robot()
         self._task_context = self.load_scene().context()
         self._frame = self._robot.config.base_frame
-        self._detector = ContactDetector(self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig))
+        self._detector = ContactDetector(
+            self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig)
+        )
         self._capture = FeedbackCapture(self._robot, settings(self, "capture", CaptureConfig))
         self._state_order = JointOrder(self._robot.joint_names)
         self._torque_order = JointOrder(self._robot.joint_names)
@@ -90,7 +92,9 @@ class CaptureNode(UnifeedNode):
             self.say(WARN, f"motion {msg.header.frame_id} cannot be corrected: {error}")
 
     def _on_teaching(self, msg: TeachingState) -> None:
-        for captured in self._capture.observe_teaching(seconds(msg.header.stamp), msg.mode, msg.motion_id, msg.motion_time):
+        for captured in self._capture.observe_teaching(
+            seconds(msg.header.stamp), msg.mode, msg.motion_id, msg.motion_time
+        ):
             for item in self._items(captured):
                 self._feedback.publish(feedback_to_msg(item, captured.time, self._frame))
                 self.say(OK, f"{item.kind} {item.id} captured")

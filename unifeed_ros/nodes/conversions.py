@@ -65,7 +65,9 @@ class JointOrder:
         if message_names != self._seen:
             missing = [n for n in self._names if n not in message_names]
             if missing:
-                raise InputError(f"{what}: joints are missing", expected=", ".join(self._names), got=", ".join(message_names))
+                raise InputError(
+                    f"{what}: joints are missing", expected=", ".join(self._names), got=", ".join(message_names)
+                )
             self._index = [message_names.index(n) for n in self._names]
             self._identity = self._index == list(range(len(message_names)))
             self._seen = list(message_names)
@@ -153,7 +155,9 @@ def context_to_msg(context: Context) -> TaskContext:
 def context_from_msg(msg: TaskContext) -> Context:
     """Convert a context message; names and positions must be as many."""
     if len(msg.object_names) != len(msg.object_positions):
-        raise InputError("objects of the context", expected=f"{len(msg.object_names)} positions", got=len(msg.object_positions))
+        raise InputError(
+            "objects of the context", expected=f"{len(msg.object_names)} positions", got=len(msg.object_positions)
+        )
     positions = [np.array([p.x, p.y, p.z]) for p in msg.object_positions]
     return Context(task=msg.task, goal=np.array([msg.goal.x, msg.goal.y, msg.goal.z]),
                    objects=dict(zip(msg.object_names, positions, strict=True)))
@@ -187,8 +191,12 @@ def feedback_from_msg(msg: Feedback, names: Sequence[str] | None = None) -> Feed
     if msg.kind == Feedback.DEMONSTRATION:
         return Demonstration(trajectory=trajectory_from_msg(msg.demonstration, names), **common)
     if msg.kind == Feedback.CORRECTION:
-        return Correction(planned=trajectory_from_msg(msg.planned, names), corrected=trajectory_from_msg(msg.corrected, names),
-                          span=(msg.span_start, msg.span_end), **common)
+        return Correction(
+            planned=trajectory_from_msg(msg.planned, names),
+            corrected=trajectory_from_msg(msg.corrected, names),
+            span=(msg.span_start, msg.span_end),
+            **common,
+        )
     if msg.kind == Feedback.PREFERENCE:
         return Preference(options=tuple(trajectory_from_msg(o, names) for o in msg.options), ranks=tuple(msg.ranks),
                           query_id=msg.query_id, **common)
@@ -222,9 +230,17 @@ def model_from_msg(msg: RewardModel) -> RewardEnsemble:
 def teaching_state_to_msg(command: Command, state: RobotState, duration: float, frame: str) -> TeachingState:
     """Convert what the controller does; the duration is that of the motion under way [s]."""
     return TeachingState(
-        header=header(state.time, frame), positions=array("d", np.asarray(state.positions).tobytes()), mode=int(command.mode), control=int(command.control), authority=float(command.authority),
-        motion_id=command.motion_id, motion_time=float(command.motion_time), motion_duration=float(duration),
-        force=float(command.force), message=command.message)
+        header=header(state.time, frame),
+        positions=array("d", np.asarray(state.positions).tobytes()),
+        mode=int(command.mode),
+        control=int(command.control),
+        authority=float(command.authority),
+        motion_id=command.motion_id,
+        motion_time=float(command.motion_time),
+        motion_duration=float(duration),
+        force=float(command.force),
+        message=command.message,
+    )
 
 
 def contact_to_msg(sample: ContactSample, time: float, frame: str) -> Contact:

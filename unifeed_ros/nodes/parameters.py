@@ -8,6 +8,7 @@ import inspect
 import textwrap
 from collections.abc import Mapping
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import ParameterDescriptor
@@ -30,7 +31,7 @@ def field_docs(kind: type) -> Mapping[str, str]:
     """
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body  # type: ignore[attr-defined]
     docs = {}
-    for statement, following in zip(body, body[1:], strict=False):
+    for statement, following in pairwise(body):
         if (isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name)
                 and isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)):
             docs[statement.target.id] = str(following.value.value)

@@ -121,7 +121,11 @@ class RewardLearnerNode(UnifeedNode):
 
     async def _on_train(self, request: TrainReward.Request, response: TrainReward.Response) -> TrainReward.Response:
         if self._busy:
-            response.success, response.message, response.version = False, "a training is under way: ask again", self._version
+            response.success, response.message, response.version = (
+                False,
+                "a training is under way: ask again",
+                self._version,
+            )
             return response
         self._busy = True
         self._publish_status_message()
@@ -144,8 +148,10 @@ class RewardLearnerNode(UnifeedNode):
         for name in ("seconds", "loss_demonstrations", "loss_corrections", "loss_preferences", "accuracy"):
             setattr(response, name, float(getattr(result, name)))
         response.success, response.version, response.steps = True, self._version, int(result.steps)
-        response.message = (f"model {self._version} learned from {len(self._dataset.items)} inputs in {result.seconds:.2f} s; "
-                            f"it ranks {100 * result.accuracy:.0f} % of fresh comparisons as you did")
+        response.message = (
+            f"model {self._version} learned from {len(self._dataset.items)} inputs in {result.seconds:.2f} s; "
+            f"it ranks {100 * result.accuracy:.0f} % of fresh comparisons as you did"
+        )
         self.say(OK, response.message)
 
     # Other services.
@@ -186,9 +192,13 @@ class RewardLearnerNode(UnifeedNode):
             raise InputError("query", expected=self._query.id if self._query else "select_query first",
                              got=request.query_id or "none")
         item = Preference(
-            id=f"preference-{self._query.id}", robot=self._robot.config.name, context=context_from_msg(self._query.context),
+            id=f"preference-{self._query.id}",
+            robot=self._robot.config.name,
+            context=context_from_msg(self._query.context),
             options=tuple(trajectory_from_msg(o, self._robot.joint_names) for o in self._query.options),
-            ranks=tuple(request.ranks), query_id=self._query.id)
+            ranks=tuple(request.ranks),
+            query_id=self._query.id,
+        )
         self._dataset.add(item)
         self._feedback.publish(feedback_to_msg(item, self._time, self._robot.config.base_frame))
         self._query = None
@@ -230,11 +240,18 @@ class RewardLearnerNode(UnifeedNode):
     def _publish_status_message(self) -> None:
         demonstrations, corrections, preferences = self._dataset.counts
         failed = self._status.level == ERROR
-        self._statuses.publish(RewardStatus(
-            header=header(self._time, self._robot.config.base_frame), version=self._version, demonstrations=demonstrations,
-            corrections=corrections, preferences=preferences, progress=self._worker.progress if self._busy else 1.0,
-            state=RewardStatus.TRAINING if self._busy else RewardStatus.FAILED if failed else RewardStatus.IDLE,
-            message=self._status.message))
+        self._statuses.publish(
+            RewardStatus(
+                header=header(self._time, self._robot.config.base_frame),
+                version=self._version,
+                demonstrations=demonstrations,
+                corrections=corrections,
+                preferences=preferences,
+                progress=self._worker.progress if self._busy else 1.0,
+                state=RewardStatus.TRAINING if self._busy else RewardStatus.FAILED if failed else RewardStatus.IDLE,
+                message=self._status.message,
+            )
+        )
 
     def close(self) -> None:
         """End the worker."""

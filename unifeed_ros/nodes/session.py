@@ -131,7 +131,9 @@ class SessionNode(UnifeedNode):
     def _tick(self) -> None:
         dead = self._dead_nodes() if self._phase not in (LessonState.WAITING, LessonState.FAULT) else []
         if dead:
-            self._fault(f"{', '.join(dead)} died: the arm is stopped, what was taught is kept; start it again, then reset")
+            self._fault(
+                f"{', '.join(dead)} died: the arm is stopped, what was taught is kept; start it again, then reset"
+            )
             self._stop.call_async(Trigger.Request())
             self._cancel()
         self._publish_state()
@@ -259,7 +261,9 @@ class SessionNode(UnifeedNode):
         if self._plan is None:
             raise LessonError("no motion to ask about", mend="teach a demonstration or run first, then reset")
         self._enter(LessonState.PLANNING, "choosing a question")
-        request = SelectQuery.Request(candidates=[self._plan, *self._shown], context=context_to_msg(self._scene.context()))
+        request = SelectQuery.Request(
+            candidates=[self._plan, *self._shown], context=context_to_msg(self._scene.context())
+        )
         chosen = self._call(self._select, request, 30.0)
         if not chosen.success:
             self._ready(f"no question: {chosen.message}")
@@ -286,7 +290,9 @@ class SessionNode(UnifeedNode):
         try:
             trained = self._call(self._train, TrainReward.Request(), 120.0)
             if not trained.success:
-                raise LessonError(f"not learned: {trained.message}", mend="undo_feedback takes an input back; then reset")
+                raise LessonError(
+                    f"not learned: {trained.message}", mend="undo_feedback takes an input back; then reset"
+                )
             self._enter(LessonState.PLANNING, "planning the new motion")
             planned = self._optimized()
         finally:

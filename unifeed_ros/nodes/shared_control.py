@@ -80,7 +80,9 @@ class SharedControlNode(UnifeedNode):
         self._robot = self.load_robot()
         self._loop = settings(self, "loop", LoopConfig)
         self._controller = SharedController(self._robot, settings(self, "control", ControlConfig))
-        self._detector = ContactDetector(self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig))
+        self._detector = ContactDetector(
+            self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig)
+        )
         self._state_order = JointOrder(self._robot.joint_names)
         self._torque_order = JointOrder(self._robot.joint_names)
         self._state: RobotState | None = None
@@ -266,9 +268,16 @@ class SharedControlNode(UnifeedNode):
     def refresh_status(self) -> None:
         """Give the figures of the loop."""
         periods = 1e3 * np.array(self._periods) if self._periods else np.array([np.nan])
-        self.say(self._status.level, self._status.message, rate_hz=f"{1e3 / np.mean(periods):.1f}", commands=self._commands,
-                 period_p50_ms=f"{np.percentile(periods, 50):.3f}", period_p99_ms=f"{np.percentile(periods, 99):.3f}",
-                 period_max_ms=f"{periods.max():.3f}", missed_deadlines=self._late)
+        self.say(
+            self._status.level,
+            self._status.message,
+            rate_hz=f"{1e3 / np.mean(periods):.1f}",
+            commands=self._commands,
+            period_p50_ms=f"{np.percentile(periods, 50):.3f}",
+            period_p99_ms=f"{np.percentile(periods, 99):.3f}",
+            period_max_ms=f"{periods.max():.3f}",
+            missed_deadlines=self._late,
+        )
 
     def close(self) -> None:
         """Send nothing more: the arm holds itself once commands stop."""

@@ -152,9 +152,15 @@ class SimArmNode(UnifeedNode):
         """Say whether commands come, and how late they are."""
         latencies = np.array(self._latencies) if self._latencies else np.array([np.nan])
         message = "obeys joint_command" if self._obeying else "holds in gravity compensation: no command"
-        self.say(OK, message, simulated_s=f"{self._arm.time:.3f}", slipped_s=f"{self._slipped:.3f}",
-                 latency_p50_ms=f"{1e3 * np.percentile(latencies, 50):.3f}",
-                 latency_p99_ms=f"{1e3 * np.percentile(latencies, 99):.3f}", latency_max_ms=f"{1e3 * latencies.max():.3f}")
+        self.say(
+            OK,
+            message,
+            simulated_s=f"{self._arm.time:.3f}",
+            slipped_s=f"{self._slipped:.3f}",
+            latency_p50_ms=f"{1e3 * np.percentile(latencies, 50):.3f}",
+            latency_p99_ms=f"{1e3 * np.percentile(latencies, 99):.3f}",
+            latency_max_ms=f"{1e3 * latencies.max():.3f}",
+        )
 
 
 def main() -> int:

@@ -119,7 +119,9 @@ class SimTeacherNode(UnifeedNode):
             return
         last, self._state = self._state, state
         if last is not None and self._hand_is_used():
-            self._push(self._person.hand_wrench(state.time, state.positions, state.velocities, self._teaching.motion_time))
+            self._push(
+                self._person.hand_wrench(state.time, state.positions, state.velocities, self._teaching.motion_time)
+            )
 
     # What the person does.
 

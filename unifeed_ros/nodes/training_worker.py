@@ -88,7 +88,9 @@ def _nothing() -> None:
     """Make the pool start its process."""
 
 
-def _train(dataset: FeedbackDataset, robot: RobotConfig, config: TrainingConfig, arguments: dict[str, Any]) -> TrainingResult:
+def _train(
+    dataset: FeedbackDataset, robot: RobotConfig, config: TrainingConfig, arguments: dict[str, Any]
+) -> TrainingResult:
     return train_reward(dataset, RobotModel(robot), config, on_progress=_set_progress, **arguments)
 
 

@@ -100,12 +100,23 @@ class TrajectoryOptimizerNode(UnifeedNode):
         config = self._config.adjusted(waypoints=goal.waypoints, time_budget=goal.time_budget)
         start = self._robot.require_state(goal.start, "start") if goal.start else self._start
         end = self._robot.require_state(goal.goal, "goal") if goal.goal else self._goal_posture(context)
-        seeds = [self._last] if self._last is not None and not goal.smoothest and len(self._last) == config.waypoints else []
+        seeds = (
+            [self._last]
+            if self._last is not None and not goal.smoothest and len(self._last) == config.waypoints
+            else []
+        )
         plan = plan_motion(
-            self._robot, model.bind(context) if model else None, start, end,
-            duration=goal.duration or (0.0 if goal.smoothest else self._scene.duration), scene=self._scene, config=config,
+            self._robot,
+            model.bind(context) if model else None,
+            start,
+            end,
+            duration=goal.duration or (0.0 if goal.smoothest else self._scene.duration),
+            scene=self._scene,
+            config=config,
             on_iteration=lambda progress: self._on_iteration(handle, progress),
-            should_stop=lambda: handle.is_cancel_requested, seeds=seeds)
+            should_stop=lambda: handle.is_cancel_requested,
+            seeds=seeds,
+        )
         if plan.success and not goal.smoothest:
             self._last = plan.waypoints
         return plan

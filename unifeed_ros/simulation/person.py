@@ -15,7 +15,6 @@ from unifeed_ros.simulation.hand import Hand, HandConfig
 from unifeed_ros.simulation.tasks import Yardstick
 from unifeed_ros.simulation.wish import Wish, smooth_deviation, wish_along
 
-
 _SAMPLING = 0.02
 """Step at which a person compares motions [s]."""
 

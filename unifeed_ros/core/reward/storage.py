@@ -29,9 +29,17 @@ def save_model(path: Path, model: RewardEnsemble) -> Path:
     """
     path = path.expanduser().resolve()
     path.parent.mkdir(parents=True, exist_ok=True)
-    about = {"format": FORMAT, "version": model.version, "robot": model.robot, "frame": model.frame, "inputs": list(model.inputs),
-             "layer_sizes": list(model.layer_sizes), "members": int(model.weights[0].shape[0]),
-             "feedback_ids": list(model.feedback_ids), "seed": model.seed}
+    about = {
+        "format": FORMAT,
+        "version": model.version,
+        "robot": model.robot,
+        "frame": model.frame,
+        "inputs": list(model.inputs),
+        "layer_sizes": list(model.layer_sizes),
+        "members": int(model.weights[0].shape[0]),
+        "feedback_ids": list(model.feedback_ids),
+        "seed": model.seed,
+    }
     temporary = path.with_suffix(".partial")
     # one entry only: safetensors writes several in no fixed order, and the same model must give the same bytes
     save_file({"weights": model.flat_weights()}, temporary, metadata={"reward": json.dumps(about)})
