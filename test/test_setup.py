@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture
 def setup_script(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "scripts")
     spec = importlib.util.spec_from_file_location("unifeed_setup", ROOT / "scripts" / "setup.py")
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, "unifeed_setup", module)
@@ -31,7 +32,7 @@ def machine(setup_script):
         for name, settings in pythons.items():
             command = {"default": "python3", "system": "/usr/bin/python3"}.get(name, name.replace("_", "."))
             values = {"path": f"/bin/{command}", "version": (3, 12), "venv": True, "rclpy": False, "headers": True}
-            described[command] = setup_script.Interpreter(**{**values, **settings})
+            described[command] = sys.modules["machine"].Interpreter(**{**values, **settings})
         return described.get
 
     return make
