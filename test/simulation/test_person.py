@@ -53,7 +53,7 @@ def test_the_hand_stays_within_a_persons_strength_and_starts_and_ends_softly(dem
 
 def test_a_demonstration_deviates_by_centimetres(demonstration, panda, quick_yardstick):
     tool, _ = demonstration
-    best = wish_along(panda, quick_yardstick.optimum).positions
+    best = wish_along(panda, quick_yardstick.optimum, (0.0, 0.0, -1.0)).positions
     off = np.array([np.linalg.norm(best - x, axis=1).min() for x in tool])
     assert 0.003 < off.max() < 0.12
 
@@ -84,7 +84,7 @@ def test_a_correction_pulls_towards_the_wish_only_within_its_span(panda, quick_y
     planned = late_line(panda, quick_yardstick)
     person = SimulatedPerson(quick_yardstick, seed=3)
     person.begin_correction(planned)
-    best = wish_along(panda, quick_yardstick.optimum)
+    best = wish_along(panda, quick_yardstick.optimum, (0.0, 0.0, -1.0))
     touched = []
     for t in np.arange(0.0, planned.duration, 0.002):
         q = quick_yardstick.optimum.positions_at([t])[0] if touched else planned.positions_at([t])[0]
@@ -109,7 +109,7 @@ def test_a_robot_that_stands_still_is_let_go(panda, quick_yardstick):
 
 
 def test_a_good_motion_is_left_alone_unless_a_push_is_asked_for(panda, quick_yardstick):
-    wish = wish_along(panda, quick_yardstick.optimum)
+    wish = wish_along(panda, quick_yardstick.optimum, (0.0, 0.0, -1.0))
     choosy = PersonConfig(always_correct=False, corrections=2)
     assert worst_spans(quick_yardstick, wish, quick_yardstick.optimum, choosy) == []
     assert len(worst_spans(quick_yardstick, wish, quick_yardstick.optimum, PersonConfig())) == 1

@@ -105,9 +105,9 @@ class SimulatedPerson:
         Args:
             q: Joint positions of the arm, shape (n,) [rad].
         """
-        config, rng = self.config, self._rng
+        config, rng, scene = self.config, self._rng, self._yardstick.task.scene
         pace = config.pace * float(np.exp(rng.normal(scale=config.pace_spread)))
-        wish = wish_along(self._yardstick.robot, self._yardstick.optimum, goal=self._yardstick.task.scene.goal)
+        wish = wish_along(self._yardstick.robot, self._yardstick.optimum, scene.axis, scene.goal)
         here = self._yardstick.robot.tool_states(np.asarray(q, dtype=np.float64)[None])[0]
         wish = wish.slower(pace).deviating(
             smooth_deviation(rng, config.deviation, start=here[:3] - wish.positions[0],
@@ -123,7 +123,7 @@ class SimulatedPerson:
             planned: The motion that the robot is about to carry out.
         """
         config, robot = self.config, self._yardstick.robot
-        wish = wish_along(robot, self._yardstick.optimum).deviating(
+        wish = wish_along(robot, self._yardstick.optimum, self._yardstick.task.scene.axis).deviating(
             smooth_deviation(self._rng, config.deviation), self._lowest)
         spans = worst_spans(self._yardstick, wish, planned, config)
         self._hand = self._correcting

@@ -90,12 +90,16 @@ class Wish:
         return Wish(times=self.times, positions=positions, axes=self.axes)
 
 
-def wish_along(robot: RobotModel, motion: Trajectory, goal: ArrayLike | None = None) -> Wish:
-    """Take the tool path of a motion.
+def wish_along(robot: RobotModel, motion: Trajectory, axis: ArrayLike, goal: ArrayLike | None = None) -> Wish:
+    """Take the path of the tool's position from a motion, the tool held upright all the way.
+
+    No task is done better by tilting the tool, but an arm that moves as fast as it can may tilt it on the way; a person
+    does not copy that.
 
     Args:
         robot: The arm.
         motion: Motion that the person wants.
+        axis: Direction in which the person holds the tool's z axis, shape (3,).
         goal: Where to end, shape (3,) [m]: what comes after the tool has come within 1 cm for good is left out.
 
     Returns:
@@ -107,7 +111,7 @@ def wish_along(robot: RobotModel, motion: Trajectory, goal: ArrayLike | None = N
         far = np.flatnonzero(np.linalg.norm(states[:, :3] - np.asarray(goal), axis=1) > 0.01)
         end = min(int(far[-1]) + 2 if len(far) else 2, len(times))
         times, states = times[:end], states[:end]
-    return Wish(times=times, positions=states[:, :3], axes=states[:, 3:])
+    return Wish(times=times, positions=states[:, :3], axes=np.tile(np.asarray(axis, dtype=np.float64), (len(times), 1)))
 
 
 def smooth_deviation(rng: np.random.Generator, size: float, start: ArrayLike = (0.0, 0.0, 0.0),
