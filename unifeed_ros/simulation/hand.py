@@ -25,11 +25,11 @@ class HandConfig:
     """Most force that the hand adds that way [N]."""
     largest_force: float = 30.0
     """Force that the hand never exceeds [N]."""
-    turning_stiffness: float = 12.0
+    turning_stiffness: float = 40.0
     """Spring that turns the tool's axis [Nm/rad]."""
-    turning_damping: float = 0.8
+    turning_damping: float = 1.5
     """Damper against turning [Nm s/rad]."""
-    largest_torque: float = 4.0
+    largest_torque: float = 5.0
     """Torque that the hand never exceeds [Nm]."""
     smoothing: float = 0.02
     """Time constant over which a hand feels speed [s]."""
@@ -56,8 +56,8 @@ class Hand:
         self._felt: Array | None = None
         self._time: float | None = None
 
-    def wrench(self, time: float, q: ArrayLike, v: ArrayLike, position: Array, axis: Array, velocity: Array,
-               grip: float = 1.0) -> Array:
+    def wrench(self, time: float, q: ArrayLike, v: ArrayLike, position: Array, axis: Array | None,
+               velocity: Array, grip: float = 1.0) -> Array:
         """Compute force and torque of the hand on the tool.
 
         Args:
@@ -65,7 +65,7 @@ class Hand:
             q: Joint positions, shape (n,) [rad].
             v: Joint velocities, shape (n,) [rad/s].
             position: Wanted tool position, shape (3,) [m].
-            axis: Wanted direction of the tool's z axis, shape (3,).
+            axis: Wanted direction of the tool's z axis, shape (3,); None: the hand lets the tool turn as it likes.
             velocity: Wanted tool velocity, shape (3,) [m/s].
             grip: Share of the hand's strength, 0 to 1 [1].
 
@@ -83,7 +83,9 @@ class Hand:
         error = position - here
         self._added = _limited(self._added + grip * config.push * error * dt, config.largest_push)
         force = config.stiffness * error + self._added + config.damping * (velocity - self._felt[:3])
-        torque = config.turning_stiffness * np.cross(rotation[:, 2], axis) - config.turning_damping * self._felt[3:]
+        torque = np.zeros(3)
+        if axis is not None:
+            torque = config.turning_stiffness * np.cross(rotation[:, 2], axis) - config.turning_damping * self._felt[3:]
         return grip * np.concatenate([_limited(force, config.largest_force), _limited(torque, config.largest_torque)])
 
 

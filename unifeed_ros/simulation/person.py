@@ -24,8 +24,11 @@ class PersonConfig:
     """How good a simulated person is."""
 
     deviation: float = 0.02
-    """Standard deviation of the smooth sideways error of one demonstration or correction, in each direction and
-    each of the lowest modes along the motion [m]; with three falling modes, peaks are 2 to 6 cm off."""
+    """Standard deviation of the smooth sideways error of one demonstration, in each direction and each of the lowest
+    modes along the motion [m]; with three falling modes, peaks are 2 to 6 cm off."""
+    correcting_deviation: float = 0.01
+    """The same for one correction, which minds a part of the motion only [m]; peaks are 1 to 3 cm off, and the arm's
+    resistance to the hand adds as much again."""
     goal_deviation: float = 0.005
     """Standard deviation of where a demonstration ends, in each direction [m]."""
     lowest: float = 0.03
@@ -67,7 +70,7 @@ class PersonConfig:
         for name in ("pace", "ramp", "settling", "correction_span", "patience", "correcting_patience"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of the person", expected="> 0", got=getattr(self, name))
-        for name in ("deviation", "goal_deviation", "pace_spread", "corrections", "rationality", "tie"):
+        for name in ("deviation", "correcting_deviation", "goal_deviation", "pace_spread", "corrections", "rationality", "tie"):
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"{name} of the person", expected=">= 0", got=getattr(self, name))
 
@@ -124,11 +127,11 @@ class SimulatedPerson:
         """
         config, robot = self.config, self._yardstick.robot
         wish = wish_along(robot, self._yardstick.optimum, self._yardstick.task.scene.axis).deviating(
-            smooth_deviation(self._rng, config.deviation), self._lowest)
+            smooth_deviation(self._rng, config.correcting_deviation), self._lowest)
         spans = worst_spans(self._yardstick, wish, planned, config)
         self._hand = self._correcting
         self._hand.take()
-        self._act = _Correction(wish, spans, config)
+        self._act = _Correction(wish, spans, self._yardstick.task.minds_tilt, config)
 
     def hand_wrench(self, time: float, q: ArrayLike, v: ArrayLike, motion_time: float = 0.0) -> Array:
         """Compute what the person's hand does to the tool now.
@@ -221,7 +224,7 @@ def worst_spans(yardstick: Yardstick, wish: Wish, planned: Trajectory,
     return sorted(spans)
 
 
-_Aim = tuple[float, Array, Array, Array]
+_Aim = tuple[float, Array, Array | None, Array]
 
 
 class _Demonstration:
@@ -262,8 +265,8 @@ class _Demonstration:
 class _Correction:
     """Pull the tool towards a wish in some spans of the robot's motion, and lead it along the wish from there."""
 
-    def __init__(self, wish: Wish, spans: list[tuple[float, float]], config: PersonConfig) -> None:
-        self._wish, self._config = wish, config
+    def __init__(self, wish: Wish, spans: list[tuple[float, float]], upright: bool, config: PersonConfig) -> None:
+        self._wish, self._upright, self._config = wish, upright, config
         self._spans = list(spans)
         self._last = 0.0
         self._progress = 0.0
@@ -279,9 +282,8 @@ class _Correction:
         start, end = self._spans[0]
         dt, self._last = max(time - self._last, 0.0), time
         if self._taken is None:
-            target = wish.states_at([motion_time])[0]
             if motion_time < start:
-                return 0.0, target[:3], target[3:], np.zeros(3)
+                return 0.0, here, None, np.zeros(3)
             self._taken, self._progress = time, motion_time
         # A robot that is held lets its motion wait for the hand: who corrects goes on at a pace of their own.
         target = wish.states_at([self._progress])[0]
@@ -296,7 +298,8 @@ class _Correction:
             if grip <= 0.0:
                 self._spans.pop(0)
                 self._taken = self._released = None
-        return max(grip, 0.0), target[:3], target[3:], rate * wish.velocity_at(self._progress)
+        axis = target[3:] if self._upright else None
+        return max(grip, 0.0), target[:3], axis, rate * wish.velocity_at(self._progress)
 
 
 def _readiness(lag: float, patience: float) -> float:

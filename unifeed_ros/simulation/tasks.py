@@ -43,6 +43,7 @@ def _proximity(scene: Scene, states: Array) -> Values:
 _REWARDS: Mapping[str, Callable[[Scene, Array], Values]] = {
     "table": _table, "laptop": _laptop, "cup": _cup, "proximity": _proximity,
 }
+_TILTING = ("cup",)
 _OBJECTS: Mapping[str, str] = {"laptop": "laptop", "proximity": "person"}
 
 TASKS = tuple(_REWARDS)
@@ -74,6 +75,11 @@ class TrueTask:
         if needed and needed not in self.scene.objects:
             raise ConfigError(f"objects in the scene of task {self.name}", expected=needed,
                               got=", ".join(self.scene.objects) or "none")
+
+    @property
+    def minds_tilt(self) -> bool:
+        """True if the reward depends on the tool's direction."""
+        return self.name in _TILTING
 
     def value_and_gradient(self, tool_states: ArrayLike) -> Values:
         """Evaluate the true reward.
