@@ -19,6 +19,9 @@ from unifeed_ros.core.types import Array, Context, Trajectory
 Inputs = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
+SHORTEST_PATH = 0.005
+"""Length of the tool's path below which it counts as standing still [m]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class AlternativesConfig:
@@ -32,7 +35,7 @@ class AlternativesConfig:
     """Share of alternatives that tilt the axis, half of them without moving the tool: what matters must show alone."""
     delay_sizes: Sequence[float] = (0.05, 0.1, 0.2)
     """Sizes of the delay, one drawn for each alternative that is delayed [share of the whole motion]."""
-    delay_share: float = 0.1
+    delay_share: float = 0.3
     """Share of alternatives that follow the shown path but fall behind: without them the reward peaks somewhere on
     the path, and the planner waits there."""
     free_end_share: float = 0.5
@@ -81,7 +84,8 @@ def build_buffer(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int,
                  correction_alternatives: int, config: AlternativesConfig, rng: np.random.Generator) -> RankingsBuffer:
     """Fill Algorithm 1's buffer from everything that was taught.
 
-    Each motion, and each corrected span, is sampled at evenly spaced times into the same number of states.
+    Each motion is sampled at evenly spaced times, each corrected span at evenly spaced lengths of its path, into the
+    same number of states.
 
     Args:
         dataset: What was taught.
@@ -120,15 +124,18 @@ class _Filler:
         demonstration_alternatives, correction_alternatives = [], []
         for item in self._items:
             if isinstance(item, Demonstration):
-                demonstrated.append(self._show(item.trajectory, item.context))
-                demonstration_alternatives.append(self._vary(item.trajectory, item.context, demonstration_count,
-                                                             self._config.free_end_share))
+                states = self._states(item.trajectory)
+                demonstrated.append(self._show(states, item.context))
+                demonstration_alternatives.append(
+                    self._vary(states, item.context, demonstration_count, self._config.free_end_share))
             elif isinstance(item, Correction):
-                corrected.append(self._show(item.corrected, item.context))
-                planned.append(self._show(item.planned, item.context))
-                correction_alternatives.append(self._vary(item.corrected, item.context, correction_count, 0.0))
+                # by length: where a hand leads matters, how long the arm waits for it does not
+                by_hand, by_plan = self._states_by_length(item.corrected), self._states_by_length(item.planned)
+                corrected.append(self._show(by_hand, item.context))
+                planned.append(self._show(by_plan, item.context))
+                correction_alternatives.append(self._vary(by_hand, item.context, correction_count, 0.0))
             else:
-                options = [self._show(option, item.context) for option in item.options]
+                options = [self._show(self._states(option), item.context) for option in item.options]
                 better += [options[i] for i, _ in item.ranked_pairs]
                 worse += [options[j] for _, j in item.ranked_pairs]
         return RankingsBuffer(
@@ -137,19 +144,30 @@ class _Filler:
             demonstration_alternatives=self._stack(demonstration_alternatives, demonstration_count),
             correction_alternatives=self._stack(correction_alternatives, correction_count))
 
-    def _show(self, trajectory: Trajectory, context: Context) -> int:
-        self._shown.append(self._inputs(self._states(trajectory), context))
+    def _show(self, states: Array, context: Context) -> int:
+        self._shown.append(self._inputs(states, context))
         return len(self._shown) - 1
 
     def _states(self, trajectory: Trajectory) -> Array:
         return self._robot.tool_states(trajectory.resampled(self._waypoints))
 
+    def _states_by_length(self, trajectory: Trajectory) -> Array:
+        """Sample tool states at evenly spaced lengths of the tool's path; at even times where it hardly moves."""
+        dense = self._robot.tool_states(trajectory.resampled(5 * self._waypoints))
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense[:, :3], axis=0), axis=1))])
+        if length[-1] < SHORTEST_PATH:
+            return self._states(trajectory)
+        even = np.linspace(0.0, length[-1], self._waypoints)
+        states = np.stack([np.interp(even, length, column) for column in dense.T], axis=-1)
+        states[:, 3:] /= np.linalg.norm(states[:, 3:], axis=1, keepdims=True)
+        return states
+
     def _inputs(self, states: Array, context: Context) -> Inputs:
         matrix, offset = input_map(self._names, context)
         return (states @ matrix + offset).astype(np.float32)
 
-    def _vary(self, trajectory: Trajectory, context: Context, count: int, free_share: float) -> Inputs:
-        states, free = self._states(trajectory), round(free_share * count)
+    def _vary(self, states: Array, context: Context, count: int, free_share: float) -> Inputs:
+        free = round(free_share * count)
         parts: list[tuple[Ends, int]] = [("free", free), ("fixed", count - free)]
         return self._inputs(np.concatenate([self._draw(states, part, ends) for ends, part in parts]), context)
 
@@ -161,8 +179,9 @@ class _Filler:
         moves = ~tilts | (rng.random(count) < 0.5)
         position_sizes = np.where(moves, rng.choice(config.position_sizes, count), 0.0)
         axis_sizes = np.where(tilts, rng.choice(config.axis_sizes, count), 0.0)
+        # delays may never arrive, whatever the ends: otherwise nothing says that the end is better than the way to it
         return np.concatenate([
-            delay(states, rng.choice(config.delay_sizes, delayed), rng, ends=ends),
+            delay(states, rng.choice(config.delay_sizes, delayed), rng, ends="free"),
             deform_tool_states(states, position_sizes, axis_sizes, rng, ends=ends)])
 
     def _stack(self, alternatives: list[Inputs], count: int) -> Inputs:

@@ -34,12 +34,13 @@ class TrainingConfig:
     """States H that a motion is compared by; the planner should use as many."""
     demonstration_comparisons: int = 200
     """Alternatives of each demonstration N_d, and the weight of eq. M4 in the sum."""
-    correction_comparisons: int = 200
-    """Alternatives of each correction N_c, and the weight of eq. M5 in the sum."""
-    preference_comparisons: int = 50
+    correction_comparisons: int = 50
+    """Alternatives of each correction N_c, and the weight of eq. M5 in the sum. Less than a demonstration's because a
+    correction says nothing of the rest of the motion, and of how fast it should be."""
+    preference_comparisons: int = 20
     """Weight of eq. M6 in the sum N_q: how often each ranked pair stands in the buffer. Less than the others because
     the better of two motions, unlike what was shown, need not be good."""
-    batch: int = 32
+    batch: int = 64
     """Alternatives seen in one step, shared evenly by demonstrations and corrections."""
     steps: int = 250
     """Steps of the optimiser from scratch."""
