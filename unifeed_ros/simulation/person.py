@@ -70,7 +70,8 @@ class PersonConfig:
         for name in ("pace", "ramp", "settling", "correction_span", "patience", "correcting_patience"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of the person", expected="> 0", got=getattr(self, name))
-        for name in ("deviation", "correcting_deviation", "goal_deviation", "pace_spread", "corrections", "rationality", "tie"):
+        for name in ("deviation", "correcting_deviation", "goal_deviation", "pace_spread", "corrections", "rationality",
+                     "tie"):
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"{name} of the person", expected=">= 0", got=getattr(self, name))
 
