@@ -112,7 +112,8 @@ def test_it_goes_on_from_the_last_model_where_that_fits(result, panda, items):
 
 def test_the_buffer_holds_algorithm_1s_comparisons(panda, items):
     buffer = build_buffer(dataset_of(panda, items), panda, waypoints=12, demonstration_alternatives=9,
-                          correction_alternatives=5, config=AlternativesConfig(), rng=np.random.default_rng(0))
+                          correction_alternatives=5, config=AlternativesConfig(delay_share=0.0),
+                          rng=np.random.default_rng(0))
     assert buffer.shown.shape == (6, 12, len(buffer.inputs))
     assert buffer.demonstration_alternatives.shape == (1, 9, 12, len(buffer.inputs))
     assert buffer.correction_alternatives.shape == (1, 5, 12, len(buffer.inputs))
@@ -120,6 +121,33 @@ def test_the_buffer_holds_algorithm_1s_comparisons(panda, items):
     assert list(zip(buffer.better.tolist(), buffer.worse.tolist(), strict=True)) == [(4, 3), (4, 5)]
     ends = buffer.correction_alternatives[0][:, [0, -1], :3]
     np.testing.assert_allclose(ends, np.broadcast_to(buffer.shown[1][[0, -1], :3], ends.shape), atol=1e-6)
+
+
+def test_delayed_alternatives_stay_on_the_path_and_need_not_arrive(panda, items):
+    buffer = build_buffer(dataset_of(panda, items), panda, waypoints=12, demonstration_alternatives=1,
+                          correction_alternatives=40, config=AlternativesConfig(delay_share=1.0),
+                          rng=np.random.default_rng(0))
+    path, delayed = buffer.shown[1][:, :3], buffer.correction_alternatives[0][..., :3]
+    np.testing.assert_allclose(delayed[:, 0], np.broadcast_to(path[0], (40, 3)), atol=1e-6)
+    fine = np.stack([np.interp(np.linspace(0, 11, 400), np.arange(12), column) for column in path.T], axis=-1)
+    gaps = np.linalg.norm(delayed[:, :, None] - fine[None, None], axis=-1).min(axis=-1)
+    assert gaps.max() < 0.005
+    assert (np.linalg.norm(delayed[:, -1] - path[-1], axis=-1) > 0.01).any()
+
+
+def test_a_pause_within_a_correction_changes_nothing(panda, items):
+    correction = items[1]
+    times = correction.corrected.times
+    middle = len(times) // 2
+    paused = np.insert(correction.corrected.positions, middle, correction.corrected.positions[middle], axis=0)
+    later = np.concatenate([times[:middle + 1], times[middle:] + 2.0])
+    slow = dataclasses.replace(correction.corrected, times=later, positions=paused, velocities=None, accelerations=None)
+    states = []
+    for item in (correction, dataclasses.replace(correction, corrected=slow)):
+        buffer = build_buffer(dataset_of(panda, [item]), panda, waypoints=12, demonstration_alternatives=1,
+                              correction_alternatives=1, config=AlternativesConfig(), rng=np.random.default_rng(0))
+        states.append(buffer.shown[buffer.corrected[0]])
+    np.testing.assert_allclose(states[0], states[1], atol=0.01)
 
 
 def test_nothing_to_learn_from_is_said(panda, items):
