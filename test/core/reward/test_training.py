@@ -137,17 +137,22 @@ def test_delayed_alternatives_stay_on_the_path_and_need_not_arrive(panda, items)
 
 def test_a_pause_within_a_correction_changes_nothing(panda, items):
     correction = items[1]
-    times = correction.corrected.times
-    middle = len(times) // 2
-    paused = np.insert(correction.corrected.positions, middle, correction.corrected.positions[middle], axis=0)
-    later = np.concatenate([times[:middle + 1], times[middle:] + 2.0])
-    slow = dataclasses.replace(correction.corrected, times=later, positions=paused, velocities=None, accelerations=None)
     states = []
-    for item in (correction, dataclasses.replace(correction, corrected=slow)):
+    for item in (correction, dataclasses.replace(correction, corrected=paused(correction.corrected),
+                                                 planned=paused(correction.planned))):
         buffer = build_buffer(dataset_of(panda, [item]), panda, waypoints=12, demonstration_alternatives=1,
                               correction_alternatives=1, config=AlternativesConfig(), rng=np.random.default_rng(0))
-        states.append(buffer.shown[buffer.corrected[0]])
+        states.append(buffer.shown[[*buffer.corrected, *buffer.planned]])
     np.testing.assert_allclose(states[0], states[1], atol=0.01)
+
+
+def paused(trajectory):
+    """Stop for two seconds in the middle."""
+    middle = len(trajectory.times) // 2
+    return dataclasses.replace(
+        trajectory, velocities=None, accelerations=None,
+        times=np.concatenate([trajectory.times[:middle + 1], trajectory.times[middle:] + 2.0]),
+        positions=np.insert(trajectory.positions, middle, trajectory.positions[middle], axis=0))
 
 
 def test_nothing_to_learn_from_is_said(panda, items):
