@@ -111,8 +111,8 @@ def test_what_was_recorded_is_learned_again_and_planned_well(robot, scene):
 def test_recorded_models_rank_what_was_taught_as_the_person_did(robot, scene):
     models = [model_from_msg(m) for m in recorded("/reward_model", RewardModel)]
     assert [m.version for m in models] == [1, 2, 3]
-    preference = next(item for item in (feedback_from_msg(m, robot.joint_names) for m in recorded("/feedback", Feedback))
-                      if item.kind == "preference")
+    taught = [feedback_from_msg(m, robot.joint_names) for m in recorded("/feedback", Feedback)]
+    preference = next(item for item in taught if item.kind == "preference")
     returns = [models[-1].member_rewards(robot.tool_states(o.resampled(20)), scene.context()).mean(axis=0).sum()
                for o in preference.options]
     for better, worse in preference.ranked_pairs:

@@ -138,3 +138,24 @@ def test_what_is_not_a_bag_is_refused(tmp_path):
     with pytest.raises(RecordingError, match="not an MCAP file"):
         recover_bag(tmp_path)
     assert [p.name for p in tmp_path.iterdir()] == ["x_0.mcap"]
+
+
+@pytest.mark.parametrize("over", range(1, 8))
+def test_the_end_of_a_file_is_seen_wherever_a_read_buffer_ends(tmp_path, over):
+    from mcap.writer import Writer
+
+    from unifeed_ros.core.recording.records import walk
+
+    def write(path, padding):
+        with path.open("wb") as stream:
+            writer = Writer(stream)
+            writer.start()
+            writer.add_metadata("padding", {"text": "x" * padding})
+            writer.finish()
+        return path.stat().st_size
+
+    bare = write(tmp_path / "bare", 0)
+    padding = 8192 * 2 + over - bare  # the closing bytes then lie across the end of the second buffer
+    path = tmp_path / "padded"
+    assert write(path, padding) % 8192 == over
+    assert [record for record in walk(path) if record.torn] == []

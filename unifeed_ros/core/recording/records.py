@@ -69,7 +69,7 @@ def walk(path: Path, wanted: Collection[int] | None = None) -> Iterator[RawRecor
             if not MAGIC.startswith(magic):
                 raise RecordingError(f"{path} is not an MCAP file")
             position = len(magic)
-            while position < size and not (size - position == len(MAGIC) and stream.peek(len(MAGIC))[:8] == MAGIC):
+            while position < size and not (size - position == len(MAGIC) and is_closed(path)):
                 head = stream.read(PREFIX.size)
                 if len(head) < PREFIX.size:
                     yield RawRecord(0, position, size, None, torn=True)
