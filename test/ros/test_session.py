@@ -176,6 +176,7 @@ def test_a_motion_is_carried_out_stopped_and_recovered_from(session, call):
     assert status == 6 and "starts elsewhere" in again.message
 
     assert call(Trigger, "reset").success
+    session.wait_phase(LessonState.RETURNING)
     session.wait_phase(LessonState.READY)
     canceled, status, _ = session.act(ExecuteTrajectory, "execute_trajectory",
                                       ExecuteTrajectory.Goal(trajectory=plan.trajectory), cancel_after=0.5)

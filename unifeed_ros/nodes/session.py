@@ -173,6 +173,7 @@ class SessionNode(UnifeedNode):
             return response
         self._interrupt.set()
         self._cancel()
+        self._enter(LessonState.WAITING, "resetting")
         self._jobs.put(self._prepare)
         response.success, response.message = True, "moving back to the start; what was taught is kept"
         return response
@@ -362,15 +363,15 @@ class SessionNode(UnifeedNode):
     def _act(self, client: ActionClient, goal: Any, timeout: float | None) -> tuple[Any, int]:
         if not client.wait_for_server(timeout_sec=5.0):
             raise LessonError("an action is not there", mend="start its node, then reset")
-        handle = self._wait(client.send_goal_async(goal), 15.0, "action goal")
+        handle = self._wait(self._in_executor(lambda: client.send_goal_async(goal)), 15.0, "action goal")
         if not handle.accepted:
             raise LessonError("motion refused by the controller or the optimizer", mend="see its log; reset goes on")
         if client is self._execute:
             self._goal = handle
         try:
-            answer = self._wait(handle.get_result_async(), timeout, "action result")
+            answer = self._wait(self._in_executor(handle.get_result_async), timeout, "action result")
         except _Interrupted:
-            handle.cancel_goal_async()
+            self._in_executor(handle.cancel_goal_async)
             raise
         finally:
             if client is self._execute:
@@ -378,6 +379,19 @@ class SessionNode(UnifeedNode):
         if self._interrupt.is_set():
             raise _Interrupted
         return answer.result, answer.status
+
+    def _in_executor(self, send: Callable[[], Future]) -> Future:
+        """Send a request of an action from the executor's thread.
+
+        rclpy's action client notes a request only after it has sent it: an answer that the executor's thread takes in
+        between is dropped ("unexpected goal response"), and the request waits for ever.
+        """
+        sent: queue.Queue[Future] = queue.Queue()
+        self.executor.create_task(lambda: sent.put(send()))
+        try:
+            return sent.get(timeout=5.0)
+        except queue.Empty:
+            raise LessonError("the node is too busy to send a request", mend="reset goes on") from None
 
     def _wait(self, future: Future, timeout: float | None, what: str) -> Any:
         done = threading.Event()
