@@ -18,7 +18,7 @@ from unifeed_msgs.srv import AnswerQuery
 from unifeed_ros.core.errors import ConfigError, InputError
 from unifeed_ros.core.modes import TeachingMode
 from unifeed_ros.core.types import Array, RobotState
-from unifeed_ros.nodes.conversions import JointOrder, header, robot_state_from_msg, trajectory_from_msg
+from unifeed_ros.nodes.conversions import JointOrder, header, robot_state_from_msg, seconds, trajectory_from_msg
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
@@ -71,7 +71,7 @@ class SimTeacherNode(UnifeedNode):
         yardstick = measure(self._robot, TrueTask(scene=self.load_scene()))
         self._person = SimulatedPerson(yardstick, self._config.seed)
         self._order = JointOrder(self._robot.joint_names)
-        self._state: RobotState | None = None
+        self._joints: JointState | None = None
         self._lesson = LessonState()
         self._teaching = TeachingState()
         self._motion, self._watched, self._tracked = JointTrajectory(), "", False
@@ -112,16 +112,20 @@ class SimTeacherNode(UnifeedNode):
         self._watch_motion()
 
     def _on_state(self, msg: JointState) -> None:
+        self._joints = msg
+        if self._hand_is_used() and (state := self._arm_state()) is not None:
+            wrench = self._person.hand_wrench(state.time, state.positions, state.velocities, self._teaching.motion_time)
+            self._push(wrench)
+
+    def _arm_state(self) -> RobotState | None:
+        """Read the newest joint state; nearly all of them pass unread, because the hand is idle most of the time."""
+        if self._joints is None:
+            return None
         try:
-            state = robot_state_from_msg(msg, self._order)
+            return robot_state_from_msg(self._joints, self._order)
         except InputError as error:
             self.say(WARN, f"joint state skipped: {error}")
-            return
-        last, self._state = self._state, state
-        if last is not None and self._hand_is_used():
-            self._push(
-                self._person.hand_wrench(state.time, state.positions, state.velocities, self._teaching.motion_time)
-            )
+            return None
 
     # What the person does.
 
@@ -141,7 +145,7 @@ class SimTeacherNode(UnifeedNode):
     def _push(self, wrench: Array) -> None:
         pushing = bool(np.any(wrench))
         if pushing or self._pushing:
-            msg = WrenchStamped(header=header(self._state.time, self._robot.config.base_frame))
+            msg = WrenchStamped(header=header(seconds(self._joints.header.stamp), self._robot.config.base_frame))
             for part, values in ((msg.wrench.force, wrench[:3]), (msg.wrench.torque, wrench[3:])):
                 part.x, part.y, part.z = map(float, values)
             self._hand.publish(msg)
@@ -168,7 +172,7 @@ class SimTeacherNode(UnifeedNode):
 
     def _wait(self) -> None:
         """Choose the next input once the lesson is ready."""
-        if self._lesson.phase != LessonState.READY or self._state is None:
+        if self._lesson.phase != LessonState.READY or self._joints is None:
             return
         if self._lesson.interactions > self._done_before:
             self._done_before, self._tries = self._lesson.interactions, 0
@@ -199,8 +203,10 @@ class SimTeacherNode(UnifeedNode):
             self._step = _Step.WAIT
         elif self._letter == "D":
             if self._lesson.phase == LessonState.DEMONSTRATING and self._teaching.mode == TeachingMode.GUIDE:
-                self._person.begin_demonstration(self._state.positions)
-                self._step = _Step.GUIDE
+                state = self._arm_state()
+                if state is not None:
+                    self._person.begin_demonstration(state.positions)
+                    self._step = _Step.GUIDE
         else:
             self._step = _Step.WATCH if self._letter == "C" else _Step.JUDGE
             self._watched, self._tracked = "", False
