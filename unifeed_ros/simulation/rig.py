@@ -17,7 +17,8 @@ from unifeed_ros.core.capture.feedback_capture import (
     CapturedDemonstration,
     FeedbackCapture,
 )
-from unifeed_ros.core.control.controller import ControlConfig, SharedController
+from unifeed_ros.core.control.controller import SharedController
+from unifeed_ros.core.control.settings import ControlConfig
 from unifeed_ros.core.errors import UnifeedError
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, RobotState, Trajectory
