@@ -11,6 +11,7 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.sharedctypes import Synchronized
 from typing import Any
 
+import torch
 from rclpy.task import Future
 
 from unifeed_ros.core.errors import TrainingError, UnifeedError
@@ -32,7 +33,7 @@ class TrainingWorker:
         context = multiprocessing.get_context("spawn")
         self._shared = context.Value("d", 0.0)
         self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_prepare, initargs=(self._shared,))
-        self._pool.submit(_nothing)
+        self._pool.submit(_warm_up)
 
     @property
     def progress(self) -> float:
@@ -79,13 +80,17 @@ def _prepare(progress: Synchronized[float]) -> None:
     """Set the process up: it ends with its parent, and leaves Ctrl-C to it."""
     global _progress
     _progress = progress
-    os.nice(NICENESS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
-def _nothing() -> None:
-    """Make the pool start its process."""
+def _warm_up() -> None:
+    """Load what the first training would wait for, then give up priority."""
+    weight = torch.zeros(1, requires_grad=True)
+    optimiser = torch.optim.Adam([weight])
+    weight.sum().backward()
+    optimiser.step()
+    os.nice(NICENESS)
 
 
 def _train(
