@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import yaml
 
-from unifeed_ros.core.errors import ConfigError
+from unifeed_ros.core.errors import ConfigError, UnifeedError
 
 T = TypeVar("T")
 
@@ -74,3 +74,27 @@ def from_mapping(kind: type[T], values: Mapping[str, Any], where: str) -> T:
         return kind(**values)
     except (TypeError, ValueError) as error:
         raise ConfigError(where, got=str(error)) from error
+
+
+def load_settings(kind: type[T], path: Path, group: str) -> T:
+    """Read one group of a ROS 2 parameter file into its settings dataclass.
+
+    Args:
+        kind: Dataclass of settings.
+        path: YAML file.
+        group: Name of the group below ros__parameters.
+
+    Returns:
+        The settings.
+
+    Raises:
+        ConfigError: The file is missing or malformed, or a value cannot be used; the message names the file.
+    """
+    parameters = load_parameters(path)
+    if not isinstance(parameters.get(group), dict):
+        raise ConfigError(f"parameter file {path}", expected=f"a group named {group}",
+                          got=", ".join(parameters) or "nothing")
+    try:
+        return from_mapping(kind, parameters[group], f"{group} in {path.name}")
+    except UnifeedError as error:
+        raise ConfigError(f"parameter file {path}", got=str(error)) from error

@@ -11,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from unifeed_ros.core.config import from_mapping, load_parameters
-from unifeed_ros.core.errors import ConfigError, InputError, ShapeError, UnifeedError, UnreachableError
+from unifeed_ros.core.config import load_settings
+from unifeed_ros.core.errors import ConfigError, InputError, ShapeError, UnreachableError
 from unifeed_ros.core.types import Array, frozen_array
 
 TOOL_STATE = ("x", "y", "z", "axis_x", "axis_y", "axis_z")
@@ -87,14 +87,7 @@ def load_robot(path: Path) -> RobotConfig:
     Raises:
         ConfigError: The file is missing or malformed, or a value cannot be used; the message names the file.
     """
-    parameters = load_parameters(path)
-    if not isinstance(parameters.get("robot"), dict):
-        raise ConfigError(f"parameter file {path}", expected="a group named robot",
-                          got=", ".join(parameters) or "nothing")
-    try:
-        return from_mapping(RobotConfig, parameters["robot"], f"robot in {path.name}")
-    except UnifeedError as error:
-        raise ConfigError(f"parameter file {path}", got=str(error)) from error
+    return load_settings(RobotConfig, path, "robot")
 
 
 def find_urdf(urdf: str) -> Path:

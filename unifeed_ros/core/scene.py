@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from unifeed_ros.core.config import from_mapping, load_parameters
-from unifeed_ros.core.errors import ConfigError, UnifeedError
+from unifeed_ros.core.config import load_settings
+from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.types import Array, Context, frozen_array
 
 
@@ -76,11 +76,4 @@ def load_scene(path: Path) -> Scene:
     Raises:
         ConfigError: The file is missing or malformed, or a value cannot be used; the message names the file.
     """
-    parameters = load_parameters(path)
-    if not isinstance(parameters.get("scene"), dict):
-        raise ConfigError(f"parameter file {path}", expected="a group named scene",
-                          got=", ".join(parameters) or "nothing")
-    try:
-        return from_mapping(Scene, parameters["scene"], f"scene in {path.name}")
-    except UnifeedError as error:
-        raise ConfigError(f"parameter file {path}", got=str(error)) from error
+    return load_settings(Scene, path, "scene")

@@ -17,7 +17,7 @@ from unifeed_ros.core.errors import InputError, UnifeedError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
-from unifeed_ros.core.reward.queries import select_query, vary_trajectory
+from unifeed_ros.core.reward.queries import select_query, with_variations
 from unifeed_ros.core.reward.training import TrainingConfig, TrainingResult
 from unifeed_ros.core.types import Context, Trajectory
 from unifeed_ros.nodes.conversions import (
@@ -174,9 +174,8 @@ class RewardLearnerNode(UnifeedNode):
         given = [trajectory_from_msg(c, self._robot.joint_names) for c in request.candidates] or self._past_motions()
         if not given:
             raise InputError("no motions to compare", mend="teach a demonstration, or give candidates")
-        per_motion = max(1, self._questions.variations // len(given))
-        candidates = given + [v for g in given for v in vary_trajectory(
-            self._robot, g, self._questions.variation_size, per_motion, self._rng)]
+        candidates = with_variations(
+            self._robot, given, self._questions.variation_size, self._questions.variations, self._rng)
         query = select_query(model, candidates, self._robot, context, self._training.waypoints)
         self._queries_asked += 1
         frame = self._robot.config.base_frame

@@ -13,7 +13,7 @@ from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
 from unifeed_ros.core.planning.plan import Plan, PlannerConfig, plan_motion
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
-from unifeed_ros.core.reward.queries import select_query, vary_trajectory
+from unifeed_ros.core.reward.queries import select_query, with_variations
 from unifeed_ros.core.reward.training import TrainingConfig, train_reward
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.scene import Scene
@@ -183,9 +183,8 @@ class _Lesson:
         if self._plan is None or self._model is None:
             return [], "nothing was learned yet that a question could be about"
         given = [self._plan.trajectory, *self._shown]
-        each = max(1, self._config.variations // len(given))
-        candidates = given + [variation for motion in given for variation in vary_trajectory(
-            self._robot, motion, self._config.variation_size, each, self._rng)]
+        candidates = with_variations(
+            self._robot, given, self._config.variation_size, self._config.variations, self._rng)
         query = select_query(self._model, candidates, self._robot, self._scene.context(),
                              self._config.training.waypoints)
         options = tuple(candidates[k] for k in query.indices)

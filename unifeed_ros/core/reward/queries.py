@@ -113,6 +113,24 @@ def vary_trajectory(robot: RobotModel, trajectory: Trajectory, size_m: float, co
     return [_bent(robot, trajectory, bend) for bend in bends]
 
 
+def with_variations(robot: RobotModel, given: Sequence[Trajectory], size_m: float, count: int,
+                    rng: np.random.Generator) -> list[Trajectory]:
+    """Add variations to motions, so that a query can choose among more than what is there.
+
+    Args:
+        robot: The arm.
+        given: Motions, at least one.
+        size_m: Size of the variations at the tool [m].
+        count: Variations in all, shared evenly by the motions; at least one each.
+        rng: Source of randomness.
+
+    Returns:
+        The motions, then their variations.
+    """
+    each = max(1, count // len(given))
+    return [*given, *(variation for motion in given for variation in vary_trajectory(robot, motion, size_m, each, rng))]
+
+
 def _bent(robot: RobotModel, trajectory: Trajectory, bend: Array) -> Trajectory:
     """Add as much of a joint-space deformation as the limits allow."""
     for scale in 0.8 ** np.arange(20):
