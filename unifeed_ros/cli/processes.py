@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import subprocess
@@ -12,13 +11,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
+from unifeed_ros.nodes.parent_death import end_with_parent
 from unifeed_ros.nodes.table import RECORDER, NodeSpec
 
 NODES_GRACE_S = 1.6
 """Time that all nodes but the recorder have to end [s]."""
 RECORDER_GRACE_S = 1.2
 """Time that the recorder has to end after the others [s]."""
-PR_SET_PDEATHSIG = 1
 
 
 class NodeProcesses:
@@ -72,7 +71,7 @@ class NodeProcesses:
         with (self._logs / f"{spec.executable}.log").open("wb") as log:
             self._processes[spec.executable] = subprocess.Popen(
                 command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, start_new_session=True,
-                env=node_environment(), preexec_fn=_die_with_parent)
+                env=node_environment(), preexec_fn=lambda: end_with_parent(signal.SIGTERM))
 
     def _end(self, names: Sequence[str], grace: float) -> None:
         running = [self._processes[n] for n in names if self._processes[n].poll() is None]
@@ -95,8 +94,3 @@ def node_environment() -> dict[str, str]:
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment["PYTHONUNBUFFERED"] = "1"
     return environment
-
-
-def _die_with_parent() -> None:
-    """Ask Linux to end this process when its parent dies, so that even kill -9 leaves nothing behind."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

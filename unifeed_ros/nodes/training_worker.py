@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import multiprocessing
 import os
 import signal
@@ -18,8 +17,8 @@ from unifeed_ros.core.errors import TrainingError, UnifeedError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.reward.training import TrainingConfig, TrainingResult, train_reward
 from unifeed_ros.core.robot import RobotConfig, RobotModel
+from unifeed_ros.nodes.parent_death import end_with_parent
 
-PR_SET_PDEATHSIG = 1
 NICENESS = 10
 """Priority given up, so that training never delays the control loop on a machine with few cores."""
 
@@ -81,7 +80,7 @@ def _prepare(progress: Synchronized[float]) -> None:
     global _progress
     _progress = progress
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    end_with_parent(signal.SIGKILL)
 
 
 def _warm_up() -> None:
