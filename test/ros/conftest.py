@@ -87,7 +87,7 @@ class Process:
     def send(self, number):
         self._process.send_signal(number)
 
-    def wait(self, timeout=10.0):
+    def wait(self, timeout=30.0):
         """Wait for the end; returns the exit status, fails the test with the output if it does not come."""
         try:
             return self._process.wait(timeout)
@@ -100,7 +100,7 @@ class Process:
         self.send(number)
         return self.wait(timeout), time.monotonic() - start
 
-    def wait_for(self, text, timeout=15.0):
+    def wait_for(self, text, timeout=60.0):
         """Wait until the process has printed a text."""
         wait_until(lambda: text in self.output or self.returncode is not None, timeout, lambda: self.output)
         if text not in self.output:
@@ -167,7 +167,7 @@ def spin_until(ros_node):
     executor = SingleThreadedExecutor(context=ros_node.context)
     executor.add_node(ros_node)
 
-    def spin(condition, timeout=10.0, explain=lambda: ""):
+    def spin(condition, timeout=30.0, explain=lambda: ""):
         end = time.monotonic() + timeout
         while not condition():
             if time.monotonic() > end:
@@ -182,7 +182,7 @@ def spin_until(ros_node):
 def call(ros_node, spin_until):
     """Call a service and wait for its answer: call(type, name, request)."""
 
-    def ask(kind, name, request=None, timeout=10.0):
+    def ask(kind, name, request=None, timeout=60.0):
         client = ros_node.create_client(kind, name)
         spin_until(client.service_is_ready, timeout, lambda: f"(service {name})")
         answer = client.call_async(request or kind.Request())

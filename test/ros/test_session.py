@@ -43,23 +43,23 @@ class Session:
     def _on_teaching(self, msg):
         self.teaching = msg
 
-    def wait_phase(self, phase, timeout=20.0):
+    def wait_phase(self, phase, timeout=60.0):
         self.spin_until(lambda: self.lesson.phase == phase, timeout, lambda: f"(lesson: {self.lesson.message})")
 
     def act(self, kind, name, goal, cancel_after=None):
         """Send a goal to an action; gives its result, its status and the number of feedback messages."""
         client = ActionClient(self.node, kind, name)
         news = []
-        self.spin_until(client.server_is_ready, 20.0, lambda: f"(action {name})")
+        self.spin_until(client.server_is_ready, 60.0, lambda: f"(action {name})")
         sent = client.send_goal_async(goal, feedback_callback=news.append)
-        self.spin_until(sent.done, 10.0)
+        self.spin_until(sent.done, 60.0)
         assert sent.result().accepted
         if cancel_after is not None:
             end = time.monotonic() + cancel_after
             self.spin_until(lambda: time.monotonic() > end, cancel_after + 5.0)
             sent.result().cancel_goal_async()
         answer = sent.result().get_result_async()
-        self.spin_until(answer.done, 30.0)
+        self.spin_until(answer.done, 60.0)
         client.destroy()
         return answer.result().result, answer.result().status, len(news)
 
@@ -73,7 +73,7 @@ def session(start_node, ros_node, spin_until, tmp_path):
 
 
 def test_the_nodes_are_what_the_tables_say(session, ros_node, spin_until):
-    spin_until(lambda: {s.node for s in SERVICES} <= set(ros_node.get_node_names()), 10.0)
+    spin_until(lambda: {s.node for s in SERVICES} <= set(ros_node.get_node_names()), 60.0)
     for topic in TOPICS:
         writers = [w for w in topic.writer if w not in OUTSIDE]
         full = topic.name if topic.name.startswith("/") else f"/{topic.name}"
@@ -181,12 +181,12 @@ def test_a_motion_is_carried_out_stopped_and_recovered_from(session, call):
     canceled, status, _ = session.act(ExecuteTrajectory, "execute_trajectory",
                                       ExecuteTrajectory.Goal(trajectory=plan.trajectory), cancel_after=0.5)
     assert (status, canceled.message) == (5, "canceled; the arm holds")
-    session.spin_until(lambda: session.teaching.mode == TeachingState.HOLD, 2.0)
+    session.spin_until(lambda: session.teaching.mode == TeachingState.HOLD, 10.0)
 
     assert call(Trigger, "stop").success
-    session.spin_until(lambda: session.teaching.mode == TeachingState.STOPPED, 2.0)
+    session.spin_until(lambda: session.teaching.mode == TeachingState.STOPPED, 10.0)
     assert call(SetMode, "set_mode").success
-    session.spin_until(lambda: session.teaching.mode == TeachingState.HOLD, 2.0)
+    session.spin_until(lambda: session.teaching.mode == TeachingState.HOLD, 10.0)
 
 
 def test_pause_and_reset_while_the_arm_moves(session, call):
@@ -202,16 +202,16 @@ def test_pause_and_reset_while_the_arm_moves(session, call):
 @pytest.mark.parametrize("victim", ["reward_learner", "capture"])
 def test_a_node_that_dies_is_named_and_the_arm_stops(session, victim):
     session.processes[victim].send(signal.SIGKILL)
-    session.wait_phase(LessonState.FAULT, 12.0)
+    session.wait_phase(LessonState.FAULT, 30.0)
     assert victim in session.lesson.message and "stopped" in session.lesson.message
-    session.spin_until(lambda: session.teaching.mode == TeachingState.STOPPED, 2.0)
+    session.spin_until(lambda: session.teaching.mode == TeachingState.STOPPED, 10.0)
 
 
 def test_the_arm_stops_when_the_session_dies_in_a_motion(session, call):
     assert call(Trigger, "run").success
     session.spin_until(lambda: session.teaching.mode == TeachingState.TRACK, 20.0)
     session.processes["session"].send(signal.SIGKILL)
-    session.spin_until(lambda: session.teaching.mode == TeachingState.STOPPED, 4.0)
+    session.spin_until(lambda: session.teaching.mode == TeachingState.STOPPED, 10.0)
     assert "session died" in session.teaching.message or "no joint state" in session.teaching.message
 
 
@@ -221,11 +221,11 @@ def test_the_arm_holds_itself_when_the_controller_dies(session, ros_node, spin_u
     positions = []
     ros_node.create_subscription(
         JointState, "joint_states", lambda m: positions.append(np.array(m.position)), subscriber_qos("joint_states"))
-    spin_until(lambda: len(positions) > 10, 5.0)
+    spin_until(lambda: len(positions) > 10, 20.0)
     before = positions[-1]
     session.processes["shared_control"].send(signal.SIGKILL)
     end = time.monotonic() + 2.0
     spin_until(lambda: time.monotonic() > end, 4.0)
     assert np.abs(positions[-1] - before).max() < 0.05
-    session.wait_phase(LessonState.FAULT, 12.0)
+    session.wait_phase(LessonState.FAULT, 30.0)
     assert "shared_control" in session.lesson.message

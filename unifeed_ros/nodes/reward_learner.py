@@ -127,6 +127,11 @@ class RewardLearnerNode(UnifeedNode):
                 self._version,
             )
             return response
+        try:
+            self._dataset.comparisons()  # answered at once, also while the worker still starts
+        except UnifeedError as error:
+            response.success, response.message, response.version = False, str(error), self._version
+            return response
         self._busy = True
         self._publish_status_message()
         done: Future = Future(executor=self.executor)

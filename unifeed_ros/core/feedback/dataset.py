@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from unifeed_ros.core.errors import InputError
-from unifeed_ros.core.feedback.items import FeedbackItem
+from unifeed_ros.core.errors import InputError, TrainingError
+from unifeed_ros.core.feedback.items import FeedbackItem, Preference
 
 
 class FeedbackDataset:
@@ -33,6 +33,19 @@ class FeedbackDataset:
         """Number of demonstrations, corrections and preferences that were not undone."""
         letters = [item.letter for item in self.items]
         return letters.count("D"), letters.count("C"), letters.count("P")
+
+    def comparisons(self) -> tuple[FeedbackItem, ...]:
+        """The items that prefer one motion to another: all but rankings of "neither" or of ties alone.
+
+        Raises:
+            TrainingError: There is none, so nothing can be learned.
+        """
+        items = tuple(i for i in self.items if not isinstance(i, Preference) or i.ranked_pairs)
+        if not items:
+            raise TrainingError("nothing to learn from", expected="a demonstration, a correction or a ranking",
+                                got=f"{len(self.items)} items without a comparison",
+                                mend="teach the robot something first")
+        return items
 
     def add(self, item: FeedbackItem) -> None:
         """Append an item.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from unifeed_ros.core.errors import ConfigError, TrainingError
+from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.deformation import Ends, deform_tool_states, delay
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem
@@ -102,11 +102,7 @@ def build_buffer(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int,
     Raises:
         TrainingError: Nothing was taught that a comparison can be made from.
     """
-    items = [item for item in dataset.items if isinstance(item, (Demonstration, Correction)) or item.ranked_pairs]
-    if not items:
-        raise TrainingError("nothing to learn from", expected="a demonstration, a correction or a ranking",
-                            got=f"{len(dataset.items)} items without a comparison",
-                            mend="teach the robot something first")
+    items = dataset.comparisons()
     return _Filler(items, robot, waypoints, config, rng).fill(demonstration_alternatives, correction_alternatives)
 
 
