@@ -10,7 +10,6 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS is not there: source a workspace, or run make setup")
 
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from unifeed_msgs.msg import Feedback, Interaction, RewardModel, TeachingState
@@ -23,19 +22,17 @@ from unifeed_ros.core.reward.training import TrainingConfig, train_reward
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
 from unifeed_ros.nodes.conversions import (
-    JointOrder,
     feedback_from_msg,
     model_from_msg,
-    robot_state_from_msg,
     seconds,
     trajectory_from_msg,
 )
+from unifeed_ros.nodes.joint_stream import JointReader
 from unifeed_ros.resources import config_path
 from unifeed_ros.simulation.tasks import TrueTask, measure
 
 BAG = Path(__file__).resolve().parents[2] / "bags" / "panda_table_dcp"
-KINDS = {"/joint_states": JointState, "/external_torques": JointState, "/teaching_state": TeachingState,
-         "/trajectory": JointTrajectory}
+SEEN_BY_CAPTURE = ("/joint_states", "/external_torques", "/teaching_state", "/trajectory")
 
 
 @pytest.fixture(scope="module")
@@ -60,20 +57,20 @@ def captured_again(robot):
     """Feed the recorded sensors to the capture code as the node does."""
     capture = FeedbackCapture(robot)
     detector = ContactDetector(robot.config.contact_thresholds)
-    states, torques = JointOrder(robot.joint_names), JointOrder(robot.joint_names)
+    states, torques = JointReader(robot.joint_names), JointReader(robot.joint_names)
     velocities, found = np.zeros(robot.n), []
-    for message in read_bag(BAG, topics=list(KINDS)):
-        msg = deserialize_message(message.data, KINDS[message.topic])
+    for message in read_bag(BAG, topics=list(SEEN_BY_CAPTURE)):
         if message.topic == "/joint_states":
-            state = robot_state_from_msg(msg, states)
+            state = states.state(message.data)
             velocities = state.velocities
             capture.observe_state(state)
         elif message.topic == "/external_torques":
-            torque = torques.pick(msg.name, msg.effort, "external torques")
-            capture.observe_contact(detector.update(seconds(msg.header.stamp), torque, velocities))
+            capture.observe_contact(detector.update(*torques.torques(message.data, "external torques"), velocities))
         elif message.topic == "/trajectory":
+            msg = deserialize_message(message.data, JointTrajectory)
             capture.observe_trajectory(msg.header.frame_id, trajectory_from_msg(msg, robot.joint_names))
         else:
+            msg = deserialize_message(message.data, TeachingState)
             found += capture.observe_teaching(seconds(msg.header.stamp), msg.mode, msg.motion_id, msg.motion_time)
     return found
 

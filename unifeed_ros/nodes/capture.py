@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from unifeed_msgs.msg import TeachingState
@@ -20,13 +19,12 @@ from unifeed_ros.core.errors import InputError
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem
 from unifeed_ros.core.types import Array
 from unifeed_ros.nodes.conversions import (
-    JointOrder,
     contact_to_msg,
     feedback_to_msg,
-    robot_state_from_msg,
     seconds,
     trajectory_from_msg,
 )
+from unifeed_ros.nodes.joint_stream import JointReader
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
@@ -47,32 +45,32 @@ class CaptureNode(UnifeedNode):
             self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig)
         )
         self._capture = FeedbackCapture(self._robot, settings(self, "capture", CaptureConfig))
-        self._state_order = JointOrder(self._robot.joint_names)
-        self._torque_order = JointOrder(self._robot.joint_names)
+        self._state_reader = JointReader(self._robot.joint_names)
+        self._torque_reader = JointReader(self._robot.joint_names)
         self._velocities: Array = np.zeros(self._robot.n)
         self._contact_sent, self._was_in_contact = 0.0, False
         self._taken = {"demonstration": 0, "correction": 0}
         self._contacts = self.advertise("contact")
         self._feedback = self.advertise("feedback")
-        self.listen("joint_states", self._on_state)
-        self.listen("external_torques", self._on_torque)
+        self.listen("joint_states", self._on_state, raw=True)
+        self.listen("external_torques", self._on_torque, raw=True)
         self.listen("teaching_state", self._on_teaching)
         self.listen("trajectory", self._on_trajectory)
         self.say(OK, "watching")
 
-    def _on_state(self, msg: JointState) -> None:
+    def _on_state(self, data: bytes) -> None:
         try:
-            state = robot_state_from_msg(msg, self._state_order)
+            state = self._state_reader.state(data)
             self._capture.observe_state(state)
         except InputError as error:
             self.say(WARN, f"joint state skipped: {error}")
             return
         self._velocities = state.velocities
 
-    def _on_torque(self, msg: JointState) -> None:
+    def _on_torque(self, data: bytes) -> None:
         try:
-            torque = self._torque_order.pick(msg.name, msg.effort, "external torques")
-            sample = self._detector.update(seconds(msg.header.stamp), torque, self._velocities)
+            time, torque = self._torque_reader.torques(data, "external torques")
+            sample = self._detector.update(time, torque, self._velocities)
         except InputError as error:
             self.say(WARN, f"external torque skipped: {error}")
             return

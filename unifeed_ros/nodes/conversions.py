@@ -8,12 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from unifeed_msgs.msg import Contact, Feedback, RewardModel, TaskContext, TeachingState
 from unifeed_ros.core.capture.contact import ContactSample
+from unifeed_ros.core.capture.external import by_name
 from unifeed_ros.core.control.controller import Command
 from unifeed_ros.core.errors import InputError
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
@@ -37,67 +37,6 @@ def stamp(time: float) -> Time:
 def header(time: float, frame: str = "") -> Header:
     """Make a header from seconds and a frame."""
     return Header(stamp=stamp(time), frame_id=frame)
-
-
-class JointOrder:
-    """Map joint messages to one robot's joint order by name; remembers the last message's order."""
-
-    def __init__(self, names: Sequence[str]) -> None:
-        self._names = tuple(names)
-        self._seen: list[str] | None = None
-        self._index: list[int] | None = None
-        self._identity = False
-
-    def pick(self, message_names: list[str], values: Sequence[float], what: str) -> Array:
-        """Put values into the robot's order.
-
-        Args:
-            message_names: Joint names of the message.
-            values: Values of the message, one a name.
-            what: Name of the values, for the error.
-
-        Returns:
-            Values in the robot's order, shape (n,).
-
-        Raises:
-            InputError: A joint is missing, a length differs, or a value is not finite.
-        """
-        if message_names != self._seen:
-            missing = [n for n in self._names if n not in message_names]
-            if missing:
-                raise InputError(
-                    f"{what}: joints are missing", expected=", ".join(self._names), got=", ".join(message_names)
-                )
-            self._index = [message_names.index(n) for n in self._names]
-            self._identity = self._index == list(range(len(message_names)))
-            self._seen = list(message_names)
-        if len(values) != len(message_names):
-            raise InputError(f"number of {what}", expected=len(message_names), got=len(values))
-        picked = np.array(values, dtype=np.float64)
-        if not self._identity:
-            picked = picked[self._index]
-        if not np.isfinite(picked).all():
-            raise InputError(f"{what} are not finite", got=picked.tolist())
-        return picked
-
-
-def robot_state_from_msg(msg: JointState, order: JointOrder) -> RobotState:
-    """Convert a joint state; velocities that are not sent count as an error."""
-    return RobotState(
-        time=seconds(msg.header.stamp),
-        positions=order.pick(msg.name, msg.position, "joint positions"),
-        velocities=order.pick(msg.name, msg.velocity, "joint velocities"),
-    )
-
-
-def joint_state_msg(time: float, names: Sequence[str], *, position: Array | None = None, velocity: Array | None = None,
-                    effort: Array | None = None, frame: str = "") -> JointState:
-    """Make a joint state from arrays of shape (n,) [rad], [rad/s], [Nm]; what is None stays empty."""
-    msg = JointState(header=header(time, frame), name=list(names))
-    for field, values in (("position", position), ("velocity", velocity), ("effort", effort)):
-        if values is not None:
-            setattr(msg, field, array("d", np.asarray(values, dtype=np.float64).tobytes()))
-    return msg
 
 
 def trajectory_to_msg(trajectory: Trajectory, time: float = 0.0, frame: str = "") -> JointTrajectory:
@@ -128,19 +67,19 @@ def trajectory_from_msg(msg: JointTrajectory, names: Sequence[str] | None = None
     Raises:
         InputError: Joints are missing, or times, positions or lengths cannot be used.
     """
-    order = JointOrder(names or msg.joint_names)
-    points = msg.points
+    wanted, points = tuple(names or msg.joint_names), msg.points
 
     def column(field: str) -> Array | None:
         if not points or not all(len(getattr(p, field)) for p in points):
             return None
-        return np.stack([order.pick(msg.joint_names, getattr(p, field), f"{field} of the trajectory") for p in points])
+        what = f"{field} of the trajectory"
+        return np.stack([by_name(msg.joint_names, getattr(p, field), wanted, what) for p in points])
 
     positions = column("positions")
     if positions is None:
         raise InputError("trajectory without positions", expected="at least two points", got=f"{len(points)} points")
     return Trajectory(
-        joint_names=tuple(names or msg.joint_names), times=[seconds(p.time_from_start) for p in points],
+        joint_names=wanted, times=[seconds(p.time_from_start) for p in points],
         positions=positions, velocities=column("velocities"), accelerations=column("accelerations"))
 
 

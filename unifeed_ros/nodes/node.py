@@ -38,9 +38,10 @@ class UnifeedNode(Node):
         """Create the publisher of a topic of the table."""
         return self.create_publisher(message_type(topic), find_topic(topic).name, publisher_qos(topic))
 
-    def listen(self, topic: str, callback: Callable[[Any], None]) -> Subscription:
-        """Create the subscription of a topic of the table."""
-        return self.create_subscription(message_type(topic), find_topic(topic).name, callback, subscriber_qos(topic))
+    def listen(self, topic: str, callback: Callable[[Any], None], *, raw: bool = False) -> Subscription:
+        """Create the subscription of a topic of the table; raw gives the callback the bytes that were sent."""
+        return self.create_subscription(
+            message_type(topic), find_topic(topic).name, callback, subscriber_qos(topic), raw=raw)
 
     def load_robot(self) -> RobotModel:
         """Build the robot model from the section "robot" of the parameters."""

@@ -11,7 +11,6 @@ import numpy as np
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from unifeed_msgs.action import ExecuteTrajectory
@@ -25,14 +24,11 @@ from unifeed_ros.core.errors import ConfigError, InputError, UnifeedError
 from unifeed_ros.core.modes import TeachingMode
 from unifeed_ros.core.types import Array, RobotState, Trajectory
 from unifeed_ros.nodes.conversions import (
-    JointOrder,
-    joint_state_msg,
-    robot_state_from_msg,
-    seconds,
     teaching_state_to_msg,
     trajectory_from_msg,
     trajectory_to_msg,
 )
+from unifeed_ros.nodes.joint_stream import JointReader, JointWriter
 from unifeed_ros.nodes.node import ERROR, OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
@@ -83,8 +79,9 @@ class SharedControlNode(UnifeedNode):
         self._detector = ContactDetector(
             self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig)
         )
-        self._state_order = JointOrder(self._robot.joint_names)
-        self._torque_order = JointOrder(self._robot.joint_names)
+        self._state_reader = JointReader(self._robot.joint_names)
+        self._torque_reader = JointReader(self._robot.joint_names)
+        self._writer = JointWriter(self._robot.joint_names, ("effort",))
         self._state: RobotState | None = None
         self._torque: Array | None = None
         self._torque_time = self._commanded = self._sent_state = 0.0
@@ -100,8 +97,8 @@ class SharedControlNode(UnifeedNode):
         self._commands_topic = self.advertise("joint_command")
         self._teaching = self.advertise("teaching_state")
         self._trajectories = self.advertise("trajectory")
-        self.listen("joint_states", self._on_state)
-        self.listen("external_torques", self._on_torque)
+        self.listen("joint_states", self._on_state, raw=True)
+        self.listen("external_torques", self._on_torque, raw=True)
         self.listen("lesson_state", self._on_lesson)
         self.create_service(SetMode, "set_mode", self._on_set_mode)
         self.create_service(Trigger, "stop", self._on_stop)
@@ -113,20 +110,20 @@ class SharedControlNode(UnifeedNode):
 
     # Inputs.
 
-    def _on_torque(self, msg: JointState) -> None:
+    def _on_torque(self, data: bytes) -> None:
         if self._state is None:
             return
         try:
-            torque = self._torque_order.pick(msg.name, msg.effort, "external torques")
-            sample = self._detector.update(seconds(msg.header.stamp), torque, self._state.velocities)
+            time, torque = self._torque_reader.torques(data, "external torques")
+            sample = self._detector.update(time, torque, self._state.velocities)
         except InputError as error:
             self._fault(f"external torque: {error}")
             return
         self._torque, self._torque_time = sample.torque, sample.time
 
-    def _on_state(self, msg: JointState) -> None:
+    def _on_state(self, data: bytes) -> None:
         try:
-            self._state = robot_state_from_msg(msg, self._state_order)
+            self._state = self._state_reader.state(data)
         except InputError as error:
             self._fault(f"joint state: {error}")
             return
@@ -152,7 +149,7 @@ class SharedControlNode(UnifeedNode):
         fresh = 0.0 <= state.time - self._torque_time < self._controller.config.stale_after
         command = self._controller.step(state, self._torque if fresh else None)
         if command.torque is not None:
-            self._commands_topic.publish(joint_state_msg(state.time, self._robot.joint_names, effort=command.torque))
+            self._commands_topic.publish(self._writer.write(state.time, command.torque))
             self._count()
         if self._execution is not None:
             self._follow(self._execution, state, command)

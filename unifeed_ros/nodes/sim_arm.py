@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rosgraph_msgs.msg import Clock as ClockMsg
-from sensor_msgs.msg import JointState
 
 from unifeed_ros.core.errors import ConfigError, InputError
-from unifeed_ros.nodes.conversions import JointOrder, joint_state_msg, seconds, stamp
+from unifeed_ros.nodes.conversions import stamp
+from unifeed_ros.nodes.joint_stream import JointReader, JointWriter
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
@@ -57,7 +57,10 @@ class SimArmNode(UnifeedNode):
         self._config = settings(self, "simulation", SimulationConfig)
         self._arm = SimulatedArm(self._robot, seed=self._config.seed, table_height=scene.table_height)
         self._arm.reset(self._robot.inverse_kinematics(scene.start, scene.axis))
-        self._order = JointOrder(self._robot.joint_names)
+        names = self._robot.joint_names
+        self._reader = JointReader(names)
+        self._state_writer = JointWriter(names, ("position", "velocity"))
+        self._torque_writer = JointWriter(names, ("effort",))
         self._stride = max(1, math.ceil(self._config.speed))
         self._commanded_at = self._pushed_at = self._answered = -math.inf
         self._obeying = self._pushed = False
@@ -72,17 +75,16 @@ class SimArmNode(UnifeedNode):
         self._states = self.advertise("joint_states")
         self._torques = self.advertise("external_torques")
         self._clock_topic = self.advertise("clock")
-        self.listen("joint_command", self._on_command)
+        self.listen("joint_command", self._on_command, raw=True)
         self.listen("hand_wrench", self._on_hand)
         self.create_timer(0.001, self._tick, clock=self.steady)
 
-    def _on_command(self, msg: JointState) -> None:
+    def _on_command(self, data: bytes) -> None:
         try:
-            torque = self._order.pick(msg.name, msg.effort, "commanded torques")
+            self._answered, torque = self._reader.torques(data, "commanded torques")
         except InputError as error:
             self.say(WARN, f"command refused, the arm holds: {error}")
             return
-        self._answered = seconds(msg.header.stamp)
         self._measure_latency(self._answered)
         self._arm.command(torque)
         self._commanded_at, self._obeying = time.monotonic(), True
@@ -144,9 +146,8 @@ class SimArmNode(UnifeedNode):
     def _publish(self) -> None:
         state = self._arm.state()
         self._sent.append((state.time, time.monotonic()))
-        names = self._robot.joint_names
-        self._states.publish(joint_state_msg(state.time, names, position=state.positions, velocity=state.velocities))
-        self._torques.publish(joint_state_msg(state.time, names, effort=self._arm.external_torque()))
+        self._states.publish(self._state_writer.write(state.time, state.positions, state.velocities))
+        self._torques.publish(self._torque_writer.write(state.time, self._arm.external_torque()))
 
     def refresh_status(self) -> None:
         """Say whether commands come, and how late they are."""

@@ -9,7 +9,6 @@ from enum import Enum, auto
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -18,7 +17,8 @@ from unifeed_msgs.srv import AnswerQuery
 from unifeed_ros.core.errors import ConfigError, InputError
 from unifeed_ros.core.modes import TeachingMode
 from unifeed_ros.core.types import Array, RobotState
-from unifeed_ros.nodes.conversions import JointOrder, header, robot_state_from_msg, seconds, trajectory_from_msg
+from unifeed_ros.nodes.conversions import header, trajectory_from_msg
+from unifeed_ros.nodes.joint_stream import JointReader
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
@@ -70,8 +70,8 @@ class SimTeacherNode(UnifeedNode):
         self._config = settings(self, "teacher", TeacherConfig)
         yardstick = measure(self._robot, TrueTask(scene=self.load_scene()))
         self._person = SimulatedPerson(yardstick, self._config.seed)
-        self._order = JointOrder(self._robot.joint_names)
-        self._joints: JointState | None = None
+        self._reader = JointReader(self._robot.joint_names)
+        self._joints: bytes | None = None
         self._lesson = LessonState()
         self._teaching = TeachingState()
         self._motion, self._watched, self._tracked = JointTrajectory(), "", False
@@ -85,7 +85,7 @@ class SimTeacherNode(UnifeedNode):
 
     def _connect(self) -> None:
         self._hand = self.advertise("hand_wrench")
-        self.listen("joint_states", self._on_state)
+        self.listen("joint_states", self._on_state, raw=True)
         self.listen("teaching_state", self._on_teaching)
         self.listen("trajectory", self._on_trajectory)
         self.listen("lesson_state", self._on_lesson)
@@ -111,18 +111,18 @@ class SimTeacherNode(UnifeedNode):
         self._motion = msg
         self._watch_motion()
 
-    def _on_state(self, msg: JointState) -> None:
-        self._joints = msg
+    def _on_state(self, data: bytes) -> None:
+        self._joints = data
         if self._hand_is_used() and (state := self._arm_state()) is not None:
             wrench = self._person.hand_wrench(state.time, state.positions, state.velocities, self._teaching.motion_time)
-            self._push(wrench)
+            self._push(wrench, state.time)
 
     def _arm_state(self) -> RobotState | None:
         """Read the newest joint state; nearly all of them pass unread, because the hand is idle most of the time."""
         if self._joints is None:
             return None
         try:
-            return robot_state_from_msg(self._joints, self._order)
+            return self._reader.state(self._joints)
         except InputError as error:
             self.say(WARN, f"joint state skipped: {error}")
             return None
@@ -142,14 +142,19 @@ class SimTeacherNode(UnifeedNode):
         tracked = self._teaching.mode == TeachingMode.TRACK and self._teaching.motion_id == self._watched
         return self._step == _Step.WATCH and tracked
 
-    def _push(self, wrench: Array) -> None:
+    def _push(self, wrench: Array, time: float) -> None:
         pushing = bool(np.any(wrench))
         if pushing or self._pushing:
-            msg = WrenchStamped(header=header(seconds(self._joints.header.stamp), self._robot.config.base_frame))
+            msg = WrenchStamped(header=header(time, self._robot.config.base_frame))
             for part, values in ((msg.wrench.force, wrench[:3]), (msg.wrench.torque, wrench[3:])):
                 part.x, part.y, part.z = map(float, values)
             self._hand.publish(msg)
         self._pushing = pushing
+
+    def _let_go(self) -> None:
+        state = self._arm_state()
+        if state is not None:
+            self._push(np.zeros(6), state.time)
 
     def _tick(self) -> None:
         if self._lesson.phase == LessonState.FAULT:
@@ -164,7 +169,7 @@ class SimTeacherNode(UnifeedNode):
         now = self.steady.now().nanoseconds * 1e-9
         self._fault_seen = self._fault_seen or now
         if self._resets_left > 0 and now - self._fault_seen > self._config.patience:
-            self._push(np.zeros(6))
+            self._let_go()
             self._resets_left -= 1
             self.say(WARN, f"reset after a fault: {self._lesson.message}")
             self._buttons["reset"].call_async(Trigger.Request())
@@ -217,14 +222,14 @@ class SimTeacherNode(UnifeedNode):
         if self._lesson.phase != LessonState.DEMONSTRATING:
             self._step = _Step.WAIT
         elif self._person.finished:
-            self._push(np.zeros(6))
+            self._let_go()
             self._buttons["finish_demonstration"].call_async(Trigger.Request())
             self._leave()
 
     def _watch(self) -> None:
         ended = (LessonState.READY, LessonState.LEARNING, LessonState.RETURNING, LessonState.SHOWING)
         if self._tracked and self._lesson.phase in ended and self._teaching.motion_id != self._watched:
-            self._push(np.zeros(6))
+            self._let_go()
             self._leave()
 
     def _judge(self) -> None:

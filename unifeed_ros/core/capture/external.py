@@ -33,13 +33,30 @@ def by_name(names: Sequence[str], values: ArrayLike, wanted: Sequence[str], what
     values = np.asarray(values, dtype=np.float64)
     if values.shape != (len(names),):
         raise InputError(f"number of {what}", expected=f"{len(names)}, one a name", got=values.shape)
-    index = {name: k for k, name in enumerate(names)}
-    if len(index) != len(names):
+    return frozen_array(what, values[joint_places(names, wanted, what)], (len(wanted),))
+
+
+def joint_places(names: Sequence[str], wanted: Sequence[str], what: str = "values") -> list[int]:
+    """Find where joints stand.
+
+    Args:
+        names: Names of a message, in its order.
+        wanted: Names in the order wanted.
+        what: Name of the values, for the error.
+
+    Returns:
+        For each name wanted its place among the names.
+
+    Raises:
+        InputError: A name is missing or twice there.
+    """
+    places = {name: k for k, name in enumerate(names)}
+    if len(places) != len(names):
         raise InputError(f"names of {what} repeat", got=", ".join(names))
-    missing = [name for name in wanted if name not in index]
+    missing = [name for name in wanted if name not in places]
     if missing:
         raise InputError(f"{what} lack joints {', '.join(missing)}", expected=", ".join(wanted), got=", ".join(names))
-    return frozen_array(what, values[[index[name] for name in wanted]], (len(wanted),))
+    return [places[name] for name in wanted]
 
 
 def torque_from_wrench(robot: RobotModel, q: ArrayLike, wrench: ArrayLike) -> Array:
