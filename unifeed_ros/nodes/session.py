@@ -90,6 +90,7 @@ class SessionNode(UnifeedNode):
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue()
         self._interrupt = threading.Event()
         self._goal: Any = None
+        self._back: threading.Thread | None = None
         self._seen: dict[str, float] = {}
         self._teaching: TeachingState | None = None
         self._connect()
@@ -207,7 +208,10 @@ class SessionNode(UnifeedNode):
         while (job := self._jobs.get()) is not None:
             self._interrupt.clear()
             try:
-                job()
+                try:
+                    job()
+                finally:
+                    self._end_return()
             except _Interrupted:
                 self._enter(LessonState.PAUSED, "paused: run or reset goes on")
             except UnifeedError as error:
@@ -271,14 +275,17 @@ class SessionNode(UnifeedNode):
             return
         self._drain_feedback()
         for k, option in enumerate(chosen.query.options if self._config.show_options else []):
+            self._return_to_start()
             self._enter(LessonState.SHOWING, f"option {chr(ord('A') + k)}: watch, do not touch")
             self._executed(option, f"option {chr(ord('A') + k)}")
-            self._return_to_start()
         self._enter(LessonState.ASKING, "which motion was better? answer_query takes the ranks")
         self._queries.publish(chosen.query)
+        self._begin_return()
         answer = self._next_feedback(Feedback.PREFERENCE, timeout=None)
         ended = time.monotonic()
         if not answer.ranks:
+            self._end_return()
+            self._return_to_start()
             self._ready("neither was good: noted, nothing learned from it")
             return
         self._learn_and_show(Feedback.PREFERENCE, [answer], ended)
@@ -286,18 +293,13 @@ class SessionNode(UnifeedNode):
     def _learn_and_show(self, kind: int, items: list[Feedback], ended: float) -> None:
         """Train, plan and move back at the same time; then show the new motion in a run that nobody needs to touch."""
         self._enter(LessonState.LEARNING, f"learning from {len(items)} input{'s' if len(items) > 1 else ''}")
-        back = threading.Thread(target=self._return_quietly, name="return")
-        back.start()
-        try:
-            trained = self._call(self._train, TrainReward.Request(), 120.0)
-            if not trained.success:
-                raise LessonError(
-                    f"not learned: {trained.message}", mend="undo_feedback takes an input back; then reset"
-                )
-            self._enter(LessonState.PLANNING, "planning the new motion")
-            planned = self._optimized()
-        finally:
-            back.join()
+        self._begin_return()
+        trained = self._call(self._train, TrainReward.Request(), 120.0)
+        if not trained.success:
+            raise LessonError(f"not learned: {trained.message}", mend="undo_feedback takes an input back; then reset")
+        self._enter(LessonState.PLANNING, "planning the new motion")
+        planned = self._optimized()
+        self._end_return()
         ready = time.monotonic() - ended
         self._plan = planned.trajectory
         self._return_to_start()
@@ -339,16 +341,28 @@ class SessionNode(UnifeedNode):
         here = self._arm_positions()
         if float(np.abs(here - self._start).max()) < 0.01:
             return
-        if self._phase not in (LessonState.LEARNING, LessonState.PLANNING):
+        if self._phase not in (LessonState.ASKING, LessonState.LEARNING, LessonState.PLANNING):
             self._enter(LessonState.RETURNING, "moving back to the start")
         self._executed(self._optimized(smoothest=True, start=here).trajectory, "return")
 
+    def _begin_return(self) -> None:
+        """Move back to the start while the lesson goes on, unless the arm is on its way already."""
+        if self._back is None:
+            self._back = threading.Thread(target=self._return_quietly, name="return")
+            self._back.start()
+
+    def _end_return(self) -> None:
+        """Wait until the arm that was sent back is there."""
+        if self._back is not None:
+            self._back.join()
+            self._back = None
+
     def _return_quietly(self) -> None:
-        """Move back while learning goes on; a failure here is met again by the move before the next motion."""
+        """Move back; a failure here is met again by the move before the next motion."""
         try:
             self._return_to_start()
         except (UnifeedError, _Interrupted) as error:
-            self.get_logger().warning(f"moving back while learning: {error or 'interrupted'}")
+            self.get_logger().warning(f"moving back: {error or 'interrupted'}")
 
     def _mode(self, mode: int) -> None:
         response = self._call(self._set_mode, SetMode.Request(mode=mode), 2.0)
