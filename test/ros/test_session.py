@@ -46,12 +46,17 @@ class Session:
     def wait_phase(self, phase, timeout=60.0):
         self.spin_until(lambda: self.lesson.phase == phase, timeout, lambda: f"(lesson: {self.lesson.message})")
 
-    def act(self, kind, name, goal, cancel_after=None):
+    def act(self, kind, name, goal, cancel_after=None, on_feedback=lambda _: None):
         """Send a goal to an action; gives its result, its status and the number of feedback messages."""
         client = ActionClient(self.node, kind, name)
         news = []
         self.spin_until(client.server_is_ready, 60.0, lambda: f"(action {name})")
-        sent = client.send_goal_async(goal, feedback_callback=news.append)
+
+        def listen(feedback):
+            news.append(feedback)
+            on_feedback(feedback)
+
+        sent = client.send_goal_async(goal, feedback_callback=listen)
         self.spin_until(sent.done, 60.0)
         assert sent.result().accepted
         if cancel_after is not None:
@@ -165,7 +170,7 @@ def test_a_motion_is_carried_out_stopped_and_recovered_from(session, call):
     done, status, _ = session.act(
         ExecuteTrajectory, "execute_trajectory", ExecuteTrajectory.Goal(trajectory=plan.trajectory)
     )
-    assert status == 4 and done.success and not done.touched
+    assert status == 4 and done.success and not done.touched, done.message
     assert done.tracking_rms < 0.02
     end = np.array(done.executed.points[-1].positions)
     np.testing.assert_allclose(end, np.array(plan.trajectory.points[-1].positions), atol=0.05)
@@ -205,6 +210,22 @@ def test_a_node_that_dies_is_named_and_the_arm_stops(session, victim):
     session.wait_phase(LessonState.FAULT, 30.0)
     assert victim in session.lesson.message and "stopped" in session.lesson.message
     session.spin_until(lambda: session.teaching.mode == TeachingState.STOPPED, 10.0)
+
+
+def test_a_controller_that_got_no_processor_does_not_blame_the_driver(session):
+    plan, _, _ = session.act(OptimizeTrajectory, "optimize_trajectory", OptimizeTrajectory.Goal())
+    pauses = []
+
+    def pause(_):
+        if not pauses:
+            session.processes["shared_control"].send(signal.SIGSTOP)
+            time.sleep(0.3)
+            session.processes["shared_control"].send(signal.SIGCONT)
+        pauses.append(session.teaching.mode)
+
+    done, status, _ = session.act(ExecuteTrajectory, "execute_trajectory",
+                                  ExecuteTrajectory.Goal(trajectory=plan.trajectory), on_feedback=pause)
+    assert pauses and status == 4 and done.success, done.message
 
 
 def test_the_arm_stops_when_the_session_dies_in_a_motion(session, call):

@@ -16,8 +16,6 @@ import numpy as np
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
-from rclpy.client import Client
-from rclpy.task import Future
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -30,6 +28,7 @@ from unifeed_ros.nodes.conversions import context_to_msg, model_from_msg
 from unifeed_ros.nodes.node import DIAGNOSTICS_PREFIX, ERROR, OK, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
+from unifeed_ros.nodes.waiting import Interrupted, LessonError, Waiting
 
 LETTERS = {Feedback.DEMONSTRATION: "D", Feedback.CORRECTION: "C", Feedback.PREFERENCE: "P"}
 FINAL_PHASES = (LessonState.READY, LessonState.PAUSED, LessonState.FAULT)
@@ -58,14 +57,6 @@ class SessionConfig:
                               got=f"{self.capture_timeout} s, {self.node_timeout} s")
 
 
-class LessonError(UnifeedError):
-    """A step of the lesson that did not succeed; the arm has been stopped or holds."""
-
-
-class _Interrupted(Exception):
-    """The person paused or reset the lesson while a step was under way."""
-
-
 class SessionNode(UnifeedNode):
     """Walk a person through a lesson.
 
@@ -88,7 +79,7 @@ class SessionNode(UnifeedNode):
         self._model: RewardModel | None = None
         self._feedback: queue.Queue[Feedback] = queue.Queue()
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue()
-        self._interrupt = threading.Event()
+        self._waiting = Waiting(self, lambda: self._message if self._phase == LessonState.FAULT else "")
         self._goal: Any = None
         self._back: threading.Thread | None = None
         self._seen: dict[str, float] = {}
@@ -162,7 +153,7 @@ class SessionNode(UnifeedNode):
         if self._phase in (LessonState.WAITING, LessonState.FAULT, LessonState.PAUSED):
             response.success, response.message = False, f"nothing to pause: {self._message}"
             return response
-        self._interrupt.set()
+        self._waiting.interrupt.set()
         self._cancel()
         response.success, response.message = True, "pausing; run or reset goes on"
         return response
@@ -172,7 +163,7 @@ class SessionNode(UnifeedNode):
         if dead:
             response.success, response.message = False, f"{', '.join(dead)} not running; start it, then reset"
             return response
-        self._interrupt.set()
+        self._waiting.interrupt.set()
         self._cancel()
         self._enter(LessonState.WAITING, "resetting")
         self._jobs.put(self._prepare)
@@ -206,13 +197,13 @@ class SessionNode(UnifeedNode):
     def _work(self) -> None:
         self._jobs.put(self._prepare)
         while (job := self._jobs.get()) is not None:
-            self._interrupt.clear()
+            self._waiting.interrupt.clear()
             try:
                 try:
                     job()
                 finally:
                     self._end_return()
-            except _Interrupted:
+            except Interrupted:
                 self._enter(LessonState.PAUSED, "paused: run or reset goes on")
             except UnifeedError as error:
                 self._fault(str(error))
@@ -269,7 +260,7 @@ class SessionNode(UnifeedNode):
         request = SelectQuery.Request(
             candidates=[self._plan, *self._shown], context=context_to_msg(self._scene.context())
         )
-        chosen = self._call(self._select, request, 30.0)
+        chosen = self._waiting.call(self._select, request, 30.0)
         if not chosen.success:
             self._ready(f"no question: {chosen.message}")
             return
@@ -281,7 +272,7 @@ class SessionNode(UnifeedNode):
         self._enter(LessonState.ASKING, "which motion was better? answer_query takes the ranks")
         self._queries.publish(chosen.query)
         self._begin_return()
-        answer = self._next_feedback(Feedback.PREFERENCE, timeout=None)
+        answer = self._next_feedback(Feedback.PREFERENCE, None)
         ended = time.monotonic()
         if not answer.ranks:
             self._end_return()
@@ -294,7 +285,7 @@ class SessionNode(UnifeedNode):
         """Train, plan and move back at the same time; then show the new motion in a run that nobody needs to touch."""
         self._enter(LessonState.LEARNING, f"learning from {len(items)} input{'s' if len(items) > 1 else ''}")
         self._begin_return()
-        trained = self._call(self._train, TrainReward.Request(), 120.0)
+        trained = self._waiting.call(self._train, TrainReward.Request(), 120.0)
         if not trained.success:
             raise LessonError(f"not learned: {trained.message}", mend="undo_feedback takes an input back; then reset")
         self._enter(LessonState.PLANNING, "planning the new motion")
@@ -325,14 +316,14 @@ class SessionNode(UnifeedNode):
         goal = OptimizeTrajectory.Goal(context=context_to_msg(self._scene.context()), smoothest=smoothest)
         if smoothest:
             goal.start, goal.goal = list(map(float, start)), list(map(float, self._start))
-        result, status = self._act(self._optimize, goal, 60.0)
+        result, status = self._waiting.act(self._optimize, goal, 60.0)
         if status != GoalStatus.STATUS_SUCCEEDED or not result.success:
             raise LessonError(f"no motion: {result.message or 'the optimizer gave up'}", mend="reset goes on")
         return result
 
     def _executed(self, trajectory: JointTrajectory, name: str) -> ExecuteTrajectory.Result:
         goal = ExecuteTrajectory.Goal(trajectory=trajectory, motion_id=f"{name} {uuid.uuid4().hex[:8]}")
-        result, status = self._act(self._execute, goal, None)
+        result, status = self._waiting.act(self._execute, goal, None, self._set_goal)
         if status != GoalStatus.STATUS_SUCCEEDED:
             raise LessonError(f"motion stopped: {result.message or 'the controller gave up'}", mend="reset goes on")
         return result
@@ -361,64 +352,13 @@ class SessionNode(UnifeedNode):
         """Move back; a failure here is met again by the move before the next motion."""
         try:
             self._return_to_start()
-        except (UnifeedError, _Interrupted) as error:
+        except (UnifeedError, Interrupted) as error:
             self.get_logger().warning(f"moving back: {error or 'interrupted'}")
 
     def _mode(self, mode: int) -> None:
-        response = self._call(self._set_mode, SetMode.Request(mode=mode), 2.0)
+        response = self._waiting.call(self._set_mode, SetMode.Request(mode=mode), 2.0)
         if not response.success:
             raise LessonError(f"mode not changed: {response.message}", mend="reset goes on")
-
-    def _call(self, client: Client, request: Any, timeout: float) -> Any:
-        if not client.wait_for_service(timeout_sec=5.0):
-            raise LessonError(f"service {client.srv_name} is not there", mend="start its node, then reset")
-        return self._wait(client.call_async(request), timeout, client.srv_name)
-
-    def _act(self, client: ActionClient, goal: Any, timeout: float | None) -> tuple[Any, int]:
-        if not client.wait_for_server(timeout_sec=5.0):
-            raise LessonError("an action is not there", mend="start its node, then reset")
-        handle = self._wait(self._in_executor(lambda: client.send_goal_async(goal)), 15.0, "action goal")
-        if not handle.accepted:
-            raise LessonError("motion refused by the controller or the optimizer", mend="see its log; reset goes on")
-        if client is self._execute:
-            self._goal = handle
-        try:
-            answer = self._wait(self._in_executor(handle.get_result_async), timeout, "action result")
-        except _Interrupted:
-            self._in_executor(handle.cancel_goal_async)
-            raise
-        finally:
-            if client is self._execute:
-                self._goal = None
-        if self._interrupt.is_set():
-            raise _Interrupted
-        return answer.result, answer.status
-
-    def _in_executor(self, send: Callable[[], Future]) -> Future:
-        """Send a request of an action from the executor's thread.
-
-        rclpy's action client notes a request only after it has sent it: an answer that the executor's thread takes in
-        between is dropped ("unexpected goal response"), and the request waits for ever.
-        """
-        sent: queue.Queue[Future] = queue.Queue()
-        self.executor.create_task(lambda: sent.put(send()))
-        try:
-            return sent.get(timeout=5.0)
-        except queue.Empty:
-            raise LessonError("the node is too busy to send a request", mend="reset goes on") from None
-
-    def _wait(self, future: Future, timeout: float | None, what: str) -> Any:
-        done = threading.Event()
-        future.add_done_callback(lambda _: done.set())
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while not done.wait(0.05):
-            if self._interrupt.is_set():
-                raise _Interrupted
-            if self._phase == LessonState.FAULT:
-                raise LessonError(self._message)
-            if deadline is not None and time.monotonic() > deadline:
-                raise LessonError(f"{what} did not answer", expected=f"within {timeout} s", mend="reset goes on")
-        return future.result()
 
     def _captured(self, kind: int) -> list[Feedback]:
         """Collect what capture made of the motion that just ended."""
@@ -434,17 +374,7 @@ class SessionNode(UnifeedNode):
         return items
 
     def _next_feedback(self, kind: int, timeout: float | None) -> Feedback:
-        deadline = np.inf if timeout is None else time.monotonic() + timeout
-        while time.monotonic() < deadline:
-            if self._interrupt.is_set():
-                raise _Interrupted
-            try:
-                item = self._feedback.get(timeout=0.05)
-            except queue.Empty:
-                continue
-            if item.kind == kind:
-                return item
-        raise queue.Empty
+        return self._waiting.next(self._feedback, lambda item: item.kind == kind, timeout)
 
     def _drain_feedback(self) -> None:
         while not self._feedback.empty():
@@ -452,6 +382,9 @@ class SessionNode(UnifeedNode):
 
     def _arm_positions(self) -> np.ndarray:
         return np.array(self._teaching.positions)
+
+    def _set_goal(self, handle: Any) -> None:
+        self._goal = handle
 
     def _cancel(self) -> None:
         goal = self._goal
@@ -486,7 +419,7 @@ class SessionNode(UnifeedNode):
 
     def close(self) -> None:
         """End the worker; the controller holds the arm."""
-        self._interrupt.set()
+        self._waiting.interrupt.set()
         self._cancel()
         self._jobs.put(None)
         self._worker.join(timeout=1.0)

@@ -35,6 +35,8 @@ from unifeed_ros.nodes.spin import run_node
 
 STATE_PERIOD = 0.01
 """Time between two messages on `teaching_state` while the mode stays [s]."""
+WATCH_PERIOD = 0.02
+"""Time between two looks at what comes [s]."""
 FEEDBACK_PERIOD = 0.1
 """Time between two feedback messages of the action [s]."""
 
@@ -47,7 +49,7 @@ class LoopConfig:
     """Rate of commands; each answers a joint state [Hz]."""
     late: float = 0.010
     """Wall-clock time between two commands that counts as a missed deadline [s]."""
-    session_timeout: float = 1.0
+    session_timeout: float = 2.0
     """Silence of a session that was there, while a motion is carried out, that stops the arm [s]."""
 
     def __post_init__(self) -> None:
@@ -85,7 +87,7 @@ class SharedControlNode(UnifeedNode):
         self._state: RobotState | None = None
         self._torque: Array | None = None
         self._torque_time = self._commanded = self._sent_state = 0.0
-        self._arrived = self._answered = 0.0
+        self._arrived = self._answered = self._watched = 0.0
         self._execution: _Execution | None = None
         self._session_seen: float | None = None
         self._periods: deque[float] = deque(maxlen=20000)
@@ -105,7 +107,7 @@ class SharedControlNode(UnifeedNode):
         self._server = ActionServer(
             self, ExecuteTrajectory, "execute_trajectory", self._on_execute, goal_callback=self._on_goal,
             cancel_callback=lambda _: CancelResponse.ACCEPT)
-        self.create_timer(0.02, self._watch, clock=self.steady)
+        self.create_timer(WATCH_PERIOD, self._watch, clock=self.steady)
         self.say(OK, "waiting for joint states")
 
     # Inputs.
@@ -171,10 +173,15 @@ class SharedControlNode(UnifeedNode):
         self.say(WARN if command.mode is TeachingMode.STOPPED else OK, command.message)
 
     def _watch(self) -> None:
-        """Notice what does not come any more."""
-        if self._state is None:
-            return
+        """Notice what does not come any more.
+
+        When this process itself got no processor for a while, what came meanwhile still waits to be taken: the next
+        look tells.
+        """
         now = time.monotonic()
+        paused, self._watched = now - self._watched > 3.0 * WATCH_PERIOD, now
+        if self._state is None or paused:
+            return
         if not self._controller.check_fresh(now - self._arrived):
             self.say(ERROR, "joint states stopped coming: check the robot's driver")
             if self._execution is not None:

@@ -58,6 +58,8 @@ class _Step(Enum):
     DONE = auto()
 
 
+HAND_PERIOD = 0.0015
+"""Simulated time that passes at least between two answers of the hand: every second state at 1 kHz [s]."""
 BUTTONS = {"D": "start_demonstration", "C": "run", "P": "ask"}
 
 
@@ -80,7 +82,7 @@ class SimTeacherNode(UnifeedNode):
         self._answer: Future | None = None
         self._resets_left = self._config.resets
         self._fault_seen: float | None = None
-        self._pushing = False
+        self._pushing, self._felt = False, 0.0
         self._connect()
 
     def _connect(self) -> None:
@@ -113,7 +115,10 @@ class SimTeacherNode(UnifeedNode):
 
     def _on_state(self, data: bytes) -> None:
         self._joints = data
-        if self._hand_is_used() and (state := self._arm_state()) is not None:
+        if not self._hand_is_used() or (state := self._arm_state()) is None:
+            return
+        if not 0.0 <= state.time - self._felt < HAND_PERIOD:
+            self._felt = state.time
             wrench = self._person.hand_wrench(state.time, state.positions, state.velocities, self._teaching.motion_time)
             self._push(wrench, state.time)
 

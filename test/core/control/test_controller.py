@@ -264,6 +264,13 @@ def test_stale_input_stops_within_a_tenth_of_a_second(robot):
     assert modes[8] is TeachingMode.TRACK and modes[-1] is TeachingMode.STOPPED
 
 
+def test_a_leap_of_the_clock_is_not_taken_for_a_dead_torque_sensor(robot):
+    controller, state = tracking_controller(robot)
+    controller.step(at(state, 0.002), np.zeros(robot.n))
+    assert controller.step(at(state, 0.4), None).mode is TeachingMode.TRACK
+    assert controller.step(at(state, 0.402), np.zeros(robot.n)).mode is TeachingMode.TRACK
+
+
 def test_nothing_is_sent_before_a_mode_is_chosen_and_after_deactivation(robot):
     controller = SharedController(robot)
     state = RobotState(time=0.0, positions=np.array(robot.config.seed), velocities=np.zeros(robot.n))

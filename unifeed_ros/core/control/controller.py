@@ -69,7 +69,7 @@ class SharedController:
         self._motion_id, self._message = "", "no mode chosen yet"
         self._state: RobotState | None = None
         self._braking: Braking | None = None
-        self._now, self._blind_since = 0.0, 0.0
+        self._now, self._blind = 0.0, 0.0
         self._force, self._ticks = 0.0, 0
         self._zero = np.zeros(robot.n)
 
@@ -179,7 +179,7 @@ class SharedController:
         if usable:
             dt = min(max(state.time - self._state.time, 0.0), LONGEST_TICK) if self._state is not None else 0.0
             self._state = state
-            self._listen(state, external_torque, now, dt)
+            self._listen(state, external_torque, dt)
         if self._state is None or self.mode is TeachingMode.INACTIVE:
             return self._answer(None)
         wanted = self._torque(state, dt) if fresh and usable else self._law.weight(self._state.positions)
@@ -193,7 +193,7 @@ class SharedController:
         if fault is not None:
             raise InputError(fault, mend="let the arm come to rest, and check its driver")
         if self.mode is TeachingMode.INACTIVE:
-            self._now = self._blind_since = state.time
+            self._now, self._blind = state.time, 0.0
         if self.mode in (TeachingMode.HOLD, TeachingMode.TRACK) and self._reference is not None:
             return self._reference.setpoint
         self._arbitration.reset(0.0)
@@ -204,18 +204,19 @@ class SharedController:
         if mode is not TeachingMode.TRACK:
             self._motion = None
 
-    def _listen(self, state: RobotState, torque: Array | None, now: float, dt: float) -> None:
+    def _listen(self, state: RobotState, torque: Array | None, dt: float) -> None:
         """Take in the person's push."""
         if torque is None:
-            if now - self._blind_since > self.config.stale_after and self.mode is TeachingMode.TRACK:
-                self.stop(f"no external torque for {now - self._blind_since:.2f} s; a push would not be felt")
+            self._blind += dt  # a leap of the clock counts as one long tick: its torques may still be on their way
+            if self._blind > self.config.stale_after and self.mode is TeachingMode.TRACK:
+                self.stop(f"no external torque for {self._blind:.2f} s; a push would not be felt")
             torque = self._zero
         elif torque.shape != (self.robot.n,) or not all_finite(torque):
             if self.mode is not TeachingMode.INACTIVE:
                 self.stop(f"external torque is not {self.robot.n} finite numbers")
             torque = self._zero
         else:
-            self._blind_since = now
+            self._blind = 0.0
         velocities = state.velocities.tolist()
         self._arbitration.step(torque, max(max(velocities), -min(velocities)), dt)
         self._ticks += 1
