@@ -52,6 +52,10 @@ def test_a_lesson_ends_with_its_report(ros_environment, domain_id, tmp_path):
     for picture in ("paths.png", "regret.png"):
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
     check_bag(out / report["recording"]["bag"], report)
+    status, again, error = run(ros_environment, "learn", out / report["recording"]["bag"], "--out", tmp_path / "again",
+                               "--json")
+    models = json.loads(again)["models"]
+    assert status == 0 and [m["identical"] for m in models] == [True] * 3, error
     assert nodes_left_behind(domain_id) == []
 
 

@@ -21,6 +21,7 @@ def build_parser() -> argparse.ArgumentParser:
     from unifeed_ros.cli.bench import add_bench_command
     from unifeed_ros.cli.demo import add_demo_command
     from unifeed_ros.cli.doctor import add_doctor_command
+    from unifeed_ros.cli.learn import add_learn_command
     from unifeed_ros.cli.up import add_up_command
 
     parser = argparse.ArgumentParser(prog="unifeed", description="Teach a robot arm by touch.")
@@ -28,6 +29,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     add_demo_command(commands)
     add_up_command(commands)
+    add_learn_command(commands)
     add_bag_commands(commands)
     add_bench_command(commands)
     add_doctor_command(commands)

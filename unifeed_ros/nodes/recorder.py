@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import rclpy
 from rclpy.parameter import Parameter
@@ -16,6 +18,7 @@ from unifeed_msgs.srv import Mark
 from unifeed_ros.core.errors import ConfigError, RecordingError
 from unifeed_ros.core.recording import BagWriter, Qos, RecordedTopic, message_type
 from unifeed_ros.core.recording.mcap_file import COMPRESSIONS
+from unifeed_ros.core.recording.reader import SETTINGS_KEY
 from unifeed_ros.nodes.node import ERROR, OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.raw_input import RawInput
@@ -84,7 +87,7 @@ class RecorderNode(UnifeedNode):
         self._inputs = [RawInput(self._inputs_node, names[t.name], t.type, recorder_qos(t)) for t in topics]
         self._writer = BagWriter(
             Path(self._config.folder), [_recorded(names[t.name], t) for t in topics],
-            compression=self._config.compression)
+            compression=self._config.compression, custom={SETTINGS_KEY: json.dumps(self._all_settings())})
         self._stopped: RecordingError | None = None
         self._weakened: dict[str, str] = {}
         self.create_timer(POLL_S, self._poll, clock=self.steady)
@@ -129,6 +132,18 @@ class RecorderNode(UnifeedNode):
             self.say(WARN, "; ".join(self._weakened.values()), **values)
         else:
             self.say(OK, "recording", **values)
+
+    def _all_settings(self) -> dict[str, Any]:
+        """Gather every parameter of the session's files, by section, so that a bag can be learned from anywhere."""
+        sections: dict[str, Any] = {}
+        for name, parameter in self.get_parameters_by_prefix("").items():
+            *path, last = name.split(".")
+            place = sections
+            for part in path:
+                place = place.setdefault(part, {})
+            value = parameter.value
+            place[last] = list(value) if hasattr(value, "typecode") or isinstance(value, tuple) else value
+        return sections
 
     def _poll(self) -> None:
         if self._stopped is not None:

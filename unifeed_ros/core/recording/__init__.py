@@ -2,7 +2,7 @@
 
 from unifeed_ros.core.recording.check import Finding, check_bag
 from unifeed_ros.core.recording.metadata import Qos, RecordedTopic
-from unifeed_ros.core.recording.reader import BagInfo, BagMessage, TopicInfo, bag_info, read_bag
+from unifeed_ros.core.recording.reader import BagInfo, BagMessage, TopicInfo, bag_info, bag_settings, read_bag
 from unifeed_ros.core.recording.recover import FileRecovery, recover_bag
 from unifeed_ros.core.recording.schema import MessageType, message_type
 from unifeed_ros.core.recording.writer import BagWriter
@@ -18,6 +18,7 @@ __all__ = [
     "RecordedTopic",
     "TopicInfo",
     "bag_info",
+    "bag_settings",
     "check_bag",
     "message_type",
     "read_bag",

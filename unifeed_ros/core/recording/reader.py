@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from mcap.exceptions import McapError
@@ -22,6 +23,8 @@ from unifeed_ros.core.recording.mcap_file import HASH_KEY, MARK_RECORD
 from unifeed_ros.core.recording.records import is_closed, walk
 
 RECOVER = "unifeed bag recover"
+SETTINGS_KEY = "unifeed_settings"
+"""Name under which a bag's metadata holds the session's parameters, as JSON."""
 
 
 class BagMessage(NamedTuple):
@@ -104,6 +107,28 @@ def bag_files(folder: Path) -> tuple[Path, ...]:
         if not is_closed(path):
             raise RecordingError(f"file {path} was not closed", mend=f"{RECOVER} {folder}")
     return paths
+
+
+def bag_settings(folder: Path) -> dict[str, Any]:
+    """Read the settings of the session that a bag was recorded in.
+
+    Args:
+        folder: The bag.
+
+    Returns:
+        The session's parameters by section, as in its parameter files; empty if the bag holds none.
+
+    Raises:
+        RecordingError: Not a bag, or its settings are damaged.
+    """
+    held = (metadata.read(folder).get("custom_data") or {}).get(SETTINGS_KEY, "{}")
+    try:
+        sections = json.loads(held)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"settings of bag {folder}", expected="JSON", got=str(error)) from error
+    if not isinstance(sections, dict):
+        raise RecordingError(f"settings of bag {folder}", expected="sections by name", got=type(sections).__name__)
+    return sections
 
 
 def read_bag(folder: Path, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
