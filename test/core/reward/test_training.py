@@ -74,6 +74,35 @@ def test_it_says_what_it_learned_from(result, context):
     assert 0 < result.loss_preferences < 0.7
 
 
+def test_a_tilt_far_beyond_what_was_shown_is_worse(panda, items, straight, context):
+    reward = train_reward(dataset_of(panda, items[:2]), panda, QUICK, version=1, seed=0).ensemble.bind(context)
+    states = panda.tool_states(straight.resampled(20))
+    bump = np.sin(np.linspace(0.0, np.pi, 20))[:, None]
+    for turned in np.concatenate([np.eye(3), -np.eye(3)]):
+        sideways = turned - (states[:, 3:] @ turned)[:, None] * states[:, 3:]
+        returns = []
+        for angle in (0.0, 1.2):
+            tilted = states.copy()
+            tilted[:, 3:] += np.tan(angle * bump) * sideways
+            tilted[:, 3:] /= np.linalg.norm(tilted[:, 3:], axis=1, keepdims=True)
+            returns.append(reward.value_and_gradient(tilted)[0].sum())
+        assert returns[0] >= returns[1]
+
+
+def test_a_larger_pool_makes_the_seed_matter_less(panda, items, straight, context):
+    fresh = [panda.tool_states(t.resampled(20))
+             for t in vary_trajectory(panda, straight, 0.15, 12, np.random.default_rng(5))]
+    base = panda.tool_states(straight.resampled(20))
+
+    def spread(pool: int) -> float:
+        models = [train_reward(dataset_of(panda, items[:1]), panda, dataclasses.replace(QUICK, pool=pool), version=1,
+                               seed=seed).ensemble.bind(context) for seed in range(4)]
+        gains = [[(m.value_and_gradient(f)[0] - m.value_and_gradient(base)[0]).sum() for f in fresh] for m in models]
+        return float(np.std(gains, axis=0).mean())
+
+    assert spread(1000) < spread(8)
+
+
 def test_members_are_independent(result):
     first = result.ensemble.weights[0]
     assert np.abs(first[0] - first[1]).max() > 0.01
@@ -168,7 +197,7 @@ def test_a_diverged_training_is_refused(panda, items):
 
 
 @pytest.mark.parametrize("setting", [
-    {"members": 1}, {"hidden": ()}, {"hidden": (0,)}, {"waypoints": 3}, {"steps": 0}, {"batch": 0},
+    {"members": 1}, {"hidden": ()}, {"hidden": (0,)}, {"waypoints": 3}, {"steps": 0}, {"batch": 0}, {"pool": 0},
     {"learning_rate": 0.0}, {"weight_penalty": -1.0}, {"weight_penalty": np.nan}, {"demonstration_comparisons": 0},
     {"rationality": 0.0}])
 def test_settings_that_cannot_work_are_refused(setting):

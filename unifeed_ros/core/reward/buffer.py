@@ -27,10 +27,12 @@ SHORTEST_PATH = 0.005
 class AlternativesConfig:
     """How the alternatives of a shown motion are drawn (paper eq. M1)."""
 
-    position_sizes: Sequence[float] = (0.05, 0.1, 0.2, 0.3)
-    """Sizes of the tool's displacement, one drawn for each alternative (RMS of the middle in each coordinate) [m]."""
-    axis_sizes: Sequence[float] = (0.1, 0.3)
-    """Sizes of the tilt of the tool's axis, one drawn for each alternative that tilts [rad]."""
+    position_sizes: Sequence[float] = (0.02, 0.05, 0.1, 0.2, 0.3)
+    """Sizes of the tool's displacement, one drawn for each alternative (RMS of the middle in each coordinate) [m]. A
+    free end moves further than the middle: only the smallest size says where near the goal the best place is."""
+    axis_sizes: Sequence[float] = (0.1, 0.3, 1.0)
+    """Sizes of the tilt of the tool's axis, one drawn for each alternative that tilts [rad]. As large as an arm can
+    tilt: a pushed arm tilts by 45 degrees, and beyond what was compared the reward runs on in that direction."""
     axis_share: float = 0.3
     """Share of alternatives that tilt the axis, half of them without moving the tool: what matters must show alone."""
     delay_sizes: Sequence[float] = (0.05, 0.1, 0.2)

@@ -24,8 +24,9 @@ from unifeed_ros.core.robot import RobotModel
 class TrainingConfig:
     """Settings of the reward ensemble's training."""
 
-    members: int = 3
-    """Number of networks, at least 2 (disagreement needs two)."""
+    members: int = 8
+    """Number of networks, at least 2 (disagreement needs two). More than the paper's three because the mean of three
+    plans differently from seed to seed; with the smaller batch that each then sees, a step costs the same."""
     hidden: Sequence[int] = (64, 64)
     """Widths of the hidden layers."""
     rationality: float = RATIONALITY
@@ -33,15 +34,20 @@ class TrainingConfig:
     waypoints: int = 20
     """States H that a motion is compared by; the planner should use as many."""
     demonstration_comparisons: int = 200
-    """Alternatives of each demonstration N_d, and the weight of eq. M4 in the sum."""
+    """Weight of eq. M4 in the sum N_d."""
     correction_comparisons: int = 50
-    """Alternatives of each correction N_c, and the weight of eq. M5 in the sum. Less than a demonstration's because a
+    """Weight of eq. M5 in the sum N_c. Less than a demonstration's because a
     correction says nothing of the rest of the motion, and of how fast it should be."""
-    preference_comparisons: int = 20
+    preference_comparisons: int = 5
     """Weight of eq. M6 in the sum N_q: how often each ranked pair stands in the buffer. Less than the others because
-    the better of two motions, unlike what was shown, need not be good."""
-    batch: int = 64
-    """Alternatives seen in one step, shared evenly by demonstrations and corrections."""
+    the better of two motions, unlike what was shown, need not be good, and because questions are about near motions,
+    which a person often ranks wrongly: one such answer, repeated, bends the reward until it agrees."""
+    pool: int = 1000
+    """Alternatives drawn of each demonstration and each correction, which the steps choose from. More than the paper's
+    N_d and N_c, which stay the weights: what 200 of them happened to leave out differs from seed to seed by more than
+    a correction teaches, and all members share it, so that more members do not help against it."""
+    batch: int = 24
+    """Alternatives that each member sees in one step, shared evenly by demonstrations and corrections."""
     steps: int = 250
     """Steps of the optimiser from scratch."""
     learning_rate: float = 7e-3
@@ -59,7 +65,7 @@ class TrainingConfig:
         """Reject values that would only fail in the middle of a lesson."""
         object.__setattr__(self, "hidden", tuple(int(w) for w in self.hidden))
         least = {"members": 2, "waypoints": 4, "demonstration_comparisons": 1, "correction_comparisons": 1,
-                 "preference_comparisons": 1, "batch": 1, "steps": 1, "warm_steps": 0}
+                 "preference_comparisons": 1, "pool": 1, "batch": 1, "steps": 1, "warm_steps": 0}
         for name, bound in least.items():
             if getattr(self, name) < bound:
                 raise ConfigError(name, expected=f"at least {bound}", got=getattr(self, name))
@@ -119,7 +125,7 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
     """
     began = time.perf_counter()
     rng = np.random.default_rng(seed)
-    buffer = _build(dataset, robot, config, rng)
+    buffer = _build(dataset, robot, config, config.pool, config.pool, rng)
     sizes = (len(buffer.inputs), *config.hidden, 1)
     with _one_thread():
         networks = Networks(sizes, config.members, rng)
@@ -127,7 +133,8 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         steps = config.warm_steps if warm else config.steps
         _optimise(networks, buffer, config, steps, config.warm_learning_rate if warm else config.learning_rate,
                   rng, on_progress)
-        terms, accuracy = _evaluate(networks, _build(dataset, robot, config, rng), config.rationality)
+        fresh = _build(dataset, robot, config, config.demonstration_comparisons, config.correction_comparisons, rng)
+        terms, accuracy = _evaluate(networks, fresh, config.rationality)
     ensemble = RewardEnsemble(
         version=version, robot=dataset.robot, frame=robot.config.base_frame, inputs=buffer.inputs, layer_sizes=sizes,
         weights=tuple(w.detach().numpy() for w in networks.weights),
@@ -184,11 +191,11 @@ def _evaluate(networks: Networks, fresh: RankingsBuffer, rationality: float) -> 
     return terms, float((decided > 0).float().mean())
 
 
-def _build(dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig,
-           rng: np.random.Generator) -> RankingsBuffer:
+def _build(dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig, demonstration_alternatives: int,
+           correction_alternatives: int, rng: np.random.Generator) -> RankingsBuffer:
     return build_buffer(
-        dataset, robot, waypoints=config.waypoints, demonstration_alternatives=config.demonstration_comparisons,
-        correction_alternatives=config.correction_comparisons, config=config.alternatives, rng=rng)
+        dataset, robot, waypoints=config.waypoints, demonstration_alternatives=demonstration_alternatives,
+        correction_alternatives=correction_alternatives, config=config.alternatives, rng=rng)
 
 
 def _mean(sums: Tensor, count: int) -> float:
