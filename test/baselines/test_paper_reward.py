@@ -25,7 +25,8 @@ def pairs():
 
 
 def test_it_learns_what_is_better(pairs):
-    ensemble = train_as_the_paper(pairs, **NAMES, seed=0, config=PaperTraining(epochs=60, slow_epochs=10, together=True))
+    config = PaperTraining(epochs=60, slow_epochs=10, together=True)
+    ensemble = train_as_the_paper(pairs, **NAMES, seed=0, config=config)
     for weight, shape in zip(ensemble.weights, [(3, 9, 128), (3, 128, 128), (3, 128, 1)], strict=True):
         assert weight.shape == shape
     low, high = (returns(ensemble, motions) for motions in reversed(pairs))
