@@ -89,7 +89,7 @@ def matrix_speed() -> float:
     """
     matrix = torch.rand(MATRIX, MATRIX)
     with torch.no_grad():
-        seconds = _median_time(lambda: matrix @ matrix, 30)
+        seconds = _median_times({"product": lambda: matrix @ matrix}, 30)["product"]
     return 2.0 * MATRIX**3 / seconds
 
 
@@ -97,14 +97,14 @@ def _times(dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig, 
            repeats: int) -> dict[str, float]:
     """Time retraining after the newest input [s], and count the operations of a training from scratch."""
     before = _train(_without_newest(dataset), robot, config, 0).ensemble
-    cold_s = _median_time(lambda: _train(dataset, robot, config, 0), repeats)
-    warm_s = _median_time(lambda: _train(dataset, robot, config, 0, before), repeats)
-    peer_s = _median_time(lambda: _train_peer(dataset, robot, config, 0, replace(peer, together=False)), repeats)
-    batched_s = _median_time(lambda: _train_peer(dataset, robot, config, 0, replace(peer, together=True)), repeats)
+    times = _median_times({
+        "cold_s": lambda: _train(dataset, robot, config, 0),
+        "warm_s": lambda: _train(dataset, robot, config, 0, before),
+        "peer_s": lambda: _train_peer(dataset, robot, config, 0, replace(peer, together=False)),
+        "peer_batched_s": lambda: _train_peer(dataset, robot, config, 0, replace(peer, together=True))}, repeats)
     with FlopCounterMode(display=False) as counter:
         _train(dataset, robot, config, 0)
-    return {"cold_s": cold_s, "warm_s": warm_s, "peer_s": peer_s, "peer_batched_s": batched_s,
-            "flops": float(counter.get_total_flops())}
+    return {**times, "flops": float(counter.get_total_flops())}
 
 
 def _judge(places: Sequence[Yardstick], person: int, config: TrainingConfig, peer: PaperTraining) -> dict[str, Any]:
@@ -166,17 +166,19 @@ def _paired(ours: np.ndarray, peers: np.ndarray, worse: str) -> float | None:
     return float(wilcoxon(ours, peers, alternative=worse).pvalue) if (ours != peers).any() else None
 
 
-def _median_time(work: Callable[[], object], repeats: int) -> float:
-    """Run something several times; its median processor time [s].
+def _median_times(works: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Run several things in turn, so that a machine that slows down slows them all; median processor times [s].
 
-    Processor time is the wall-clock time of one thread on a quiet machine, and does not count those that share it.
+    Processor time is the wall-clock time of one thread on a quiet machine, and does not count those that share it, apart
+    from what they do to its caches.
     """
-    seconds = []
+    seconds: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(repeats):
-        began = time.process_time()
-        work()
-        seconds.append(time.process_time() - began)
-    return float(np.median(seconds))
+        for name, work in works.items():
+            began = time.process_time()
+            work()
+            seconds[name].append(time.process_time() - began)
+    return {name: float(np.median(values)) for name, values in seconds.items()}
 
 
 @contextmanager
