@@ -169,8 +169,8 @@ def _paired(ours: np.ndarray, peers: np.ndarray, worse: str) -> float | None:
 def _median_times(works: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
     """Run several things in turn, so that a machine that slows down slows them all; median processor times [s].
 
-    Processor time is the wall-clock time of one thread on a quiet machine, and does not count those that share it, apart
-    from what they do to its caches.
+    Processor time is the wall-clock time of one thread on a quiet machine, and does not count those that share it,
+    apart from what they do to its caches.
     """
     seconds: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(repeats):
