@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder
+from unifeed_ros.cli.bench_reward import add_reward_options, measure_reward, reward_table
 from unifeed_ros.core.errors import UnifeedError
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
@@ -28,9 +29,10 @@ TABLE_LESSONS = tuple(("panda", "table", seed) for seed in range(10)) + tuple(
 
 def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `bench` to the command line."""
-    parser = commands.add_parser("bench", help="measure: lesson")
+    parser = commands.add_parser("bench", help="measure: reward, lesson")
     parser.add_argument(
-        "name", choices=["lesson", "all"], help="lesson: whole demos, Panda seeds 0-9 and UR10 seeds 0-4"
+        "name", choices=["reward", "lesson", "all"],
+        help="reward: training beside the paper's procedure; lesson: whole demos, Panda seeds 0-9 and UR10 seeds 0-4"
     )
     parser.add_argument("--robot", action="append", help="only this robot (may be repeated)")
     parser.add_argument("--task", default="table", help="task of every lesson (default: table)")
@@ -40,11 +42,29 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
     parser.add_argument("--speed", type=float, default=1.0, help="simulated seconds per second (default: 1)")
     parser.add_argument("--out", type=Path, help="folder for the lessons (default: out/bench-<date>-<time>)")
     parser.add_argument("--json", action="store_true", help="print JSON")
+    add_reward_options(parser)
     parser.set_defaults(run=run_bench)
 
 
 def run_bench(options: argparse.Namespace) -> int:
-    """Run the lessons one after the other through the real nodes and print the table; 0 only if all were completed."""
+    """Measure what was asked for and print it; 0 only if everything was completed."""
+    figures, texts, ok = {}, [], True
+    if options.name in ("reward", "all"):
+        figures["reward"] = measure_reward(options)
+        texts.append(reward_table(figures["reward"]))
+    if options.name in ("lesson", "all"):
+        figures["lesson"] = measure_lessons(options)
+        texts.append(markdown(figures["lesson"]))
+        ok = all(row["ok"] for row in figures["lesson"]["lessons"])
+    if options.json:
+        print(json.dumps(figures if options.name == "all" else figures[options.name], indent=2))
+    else:
+        print("\n\n".join(texts))
+    return 0 if ok else 1
+
+
+def measure_lessons(options: argparse.Namespace) -> dict[str, Any]:
+    """Run the lessons one after the other through the real nodes, and keep their figures in a file too."""
     out = prepare_folder(options.out or Path("out") / time.strftime("bench-%Y%m%d-%H%M%S"))
     lessons = _chosen(options)
     rows = []
@@ -55,8 +75,7 @@ def run_bench(options: argparse.Namespace) -> int:
     table = {"machine": {"cpus": os.cpu_count(), "load": os.getloadavg()[0], "speed": options.speed}, "lessons": rows,
              "summary": [_summary(rows, robot) for robot in dict.fromkeys(row["robot"] for row in rows)]}
     (out / "lessons.json").write_text(json.dumps(table, indent=2) + "\n")
-    print(json.dumps(table, indent=2) if options.json else markdown(table))
-    return 0 if all(row["ok"] for row in rows) else 1
+    return table
 
 
 def markdown(table: dict[str, Any]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,11 @@ from rclpy.task import Future
 
 from unifeed_msgs.msg import Feedback, PreferenceQuery, RewardStatus, TaskContext
 from unifeed_msgs.srv import AnswerQuery, EvaluateReward, ListFeedback, SelectQuery, TrainReward, UndoFeedback
-from unifeed_ros.core.errors import InputError, UnifeedError
+from unifeed_ros.core.errors import ConfigError, InputError, UnifeedError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
-from unifeed_ros.core.reward.queries import select_query, with_variations
+from unifeed_ros.core.reward.queries import random_query, select_query, with_variations
 from unifeed_ros.core.reward.training import TrainingConfig, TrainingResult
 from unifeed_ros.core.types import Context, Trajectory
 from unifeed_ros.nodes.conversions import (
@@ -46,10 +47,23 @@ class QueryConfig:
 
     seed: int = 0
     """Seed of training and of the variations."""
-    variations: int = 24
-    """Number of variations of the candidates that are added to them."""
+    active: bool = True
+    """True: the most informative question (paper eq. M7); false: a random one."""
+    options: int = 2
+    """Motions that a question compares."""
+    candidates: int = 1000
+    """Motions that a question is chosen from: those that are there, and variations of them."""
     variation_size: float = 0.10
-    """Size of these variations at the tool [m]."""
+    """Size of the variations at the tool [m]."""
+
+    def __post_init__(self) -> None:
+        """Reject values that would only fail when a question is asked."""
+        if self.options < 2:
+            raise ConfigError("options", expected="at least 2", got=self.options)
+        if self.candidates < self.options:
+            raise ConfigError("candidates", expected=f"at least {self.options}", got=self.candidates)
+        if not 0.0 < self.variation_size < 10.0:
+            raise ConfigError("variation_size", expected="above 0 and below 10", got=self.variation_size)
 
 
 class RewardLearnerNode(UnifeedNode):
@@ -179,15 +193,19 @@ class RewardLearnerNode(UnifeedNode):
         given = [trajectory_from_msg(c, self._robot.joint_names) for c in request.candidates] or self._past_motions()
         if not given:
             raise InputError("no motions to compare", mend="teach a demonstration, or give candidates")
-        candidates = with_variations(
-            self._robot, given, self._questions.variation_size, self._questions.variations, self._rng)
-        query = select_query(model, candidates, self._robot, context, self._training.waypoints)
+        settings, training = self._questions, self._training
+        candidates = with_variations(self._robot, given, settings.variation_size, settings.candidates, self._rng)
+        choose = select_query if settings.active else partial(random_query, rng=self._rng)
+        query = choose(model, candidates, self._robot, context, waypoints=training.waypoints,
+                       rationality=training.rationality, options=settings.options)
+        message = (f"of {len(candidates)} motions, the networks disagree most about these" if settings.active
+                   else f"drawn at random from {len(candidates)} motions")
         self._queries_asked += 1
         frame = self._robot.config.base_frame
         self._query = PreferenceQuery(
             header=header(self._time, frame), id=f"query-{self._queries_asked}", context=context_to_msg(context),
             options=[trajectory_to_msg(candidates[i]) for i in query.indices], information=float(query.information),
-            message=f"the networks disagree most about these: {query.information:.2f} bit expected")
+            message=f"{message}: {query.information:.2f} bit expected")
         response.query = self._query
         return self._query.message
 

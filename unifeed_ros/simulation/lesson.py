@@ -35,10 +35,10 @@ class LessonConfig:
     """The person."""
     rig: RigConfig = field(default_factory=RigConfig)
     """Arm, controller and capture."""
-    variations: int = 24
-    """Number of variations that a question may ask about."""
+    candidates: int = 1000
+    """Motions that a question is chosen from: those that are there, and variations of them."""
     variation_size: float = 0.10
-    """Size of those variations [m]."""
+    """Size of the variations at the tool [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,10 +183,10 @@ class _Lesson:
         if self._plan is None or self._model is None:
             return [], "nothing was learned yet that a question could be about"
         given = [self._plan.trajectory, *self._shown]
-        candidates = with_variations(
-            self._robot, given, self._config.variation_size, self._config.variations, self._rng)
+        config = self._config
+        candidates = with_variations(self._robot, given, config.variation_size, config.candidates, self._rng)
         query = select_query(self._model, candidates, self._robot, self._scene.context(),
-                             self._config.training.waypoints)
+                             waypoints=config.training.waypoints, rationality=config.training.rationality)
         options = tuple(candidates[k] for k in query.indices)
         return [Preference(**self._item(0), options=options, ranks=self._person.rank(options))], ""
 

@@ -10,19 +10,22 @@ from numpy.typing import ArrayLike
 
 from unifeed_ros.core.errors import InputError, ShapeError
 from unifeed_ros.core.feedback.deformation import sample_deformations
-from unifeed_ros.core.reward.ensemble import RATIONALITY, RewardEnsemble
+from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, Context, Trajectory
+
+_BLOCK = 20
+"""Candidates whose pairs with all others are weighed at once; their arrays then stay in the processor's cache."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Query:
-    """Two motions to compare."""
+    """Motions to compare."""
 
-    indices: tuple[int, int]
-    """Which of the candidates."""
+    indices: tuple[int, ...]
+    """Which of the candidates, ascending."""
     information: float
-    """Expected information of the answer, 0 to 1 [bit]."""
+    """Expected information of the answer, 0 to log2 of the number of motions [bit]."""
 
 
 def information_gain(returns: ArrayLike) -> Array:
@@ -54,37 +57,112 @@ def information_gain(returns: ArrayLike) -> Array:
     return np.maximum(information, 0.0)
 
 
-def select_query(ensemble: RewardEnsemble, candidates: Sequence[Trajectory], robot: RobotModel, context: Context,
-                 waypoints: int = 20, rationality: float = RATIONALITY) -> Query:
-    """Choose the two candidates whose comparison tells the most (paper eq. M7, over every pair).
+def select_query(ensemble: RewardEnsemble, candidates: Sequence[Trajectory], robot: RobotModel, context: Context, *,
+                 waypoints: int, rationality: float, options: int = 2) -> Query:
+    """Choose the candidates whose comparison tells the most: an active query (paper eq. M7).
 
     Args:
         ensemble: Learned reward.
-        candidates: Motions to choose from, at least two [rad].
+        candidates: Motions to choose from, at least as many as options [rad].
         robot: Arm that the motions are of.
         context: Goal and objects.
-        waypoints: States that a motion's return is summed over.
+        waypoints: States that a motion's return is summed over, as in training.
         rationality: How strongly returns decide an answer, as in training [1/reward].
+        options: Motions to compare, at least 2.
 
     Returns:
         The query; the first best one where several tell the same.
 
     Raises:
-        InputError: Fewer than two candidates, or one of other joints.
+        InputError: Fewer than two options, fewer candidates than options, or one of other joints.
     """
-    if len(candidates) < 2:
-        raise InputError("candidates for a query", expected="at least two", got=len(candidates))
-    for trajectory in candidates:
-        if trajectory.joint_names != robot.joint_names:
-            raise InputError("joints of a candidate", expected=robot.joint_names, got=trajectory.joint_names)
-    reward = ensemble.bind(context)
-    returns = np.stack([
-        reward.member_rewards(robot.tool_states(t.resampled(waypoints))).sum(axis=1) for t in candidates], axis=-1)
-    first, second = np.triu_indices(len(candidates), k=1)
-    pairs = np.stack([returns[:, first], returns[:, second]], axis=-1).transpose(1, 0, 2)
-    information = information_gain(rationality * pairs)
-    best = int(np.argmax(information))
-    return Query(indices=(int(first[best]), int(second[best])), information=float(information[best]))
+    returns = rationality * _returns(ensemble, candidates, robot, context, waypoints)
+    return most_informative(returns, options)
+
+
+def random_query(ensemble: RewardEnsemble, candidates: Sequence[Trajectory], robot: RobotModel, context: Context, *,
+                 waypoints: int, rationality: float, rng: np.random.Generator, options: int = 2) -> Query:
+    """Choose candidates at random: a passive query, to compare active ones with.
+
+    Args:
+        ensemble: Learned reward; says what the answer tells, and decides nothing.
+        candidates: As for select_query.
+        robot: As for select_query.
+        context: As for select_query.
+        waypoints: As for select_query.
+        rationality: As for select_query [1/reward].
+        rng: Source of randomness.
+        options: Motions to compare, at least 2.
+
+    Returns:
+        The query.
+
+    Raises:
+        InputError: As for select_query.
+    """
+    _require_enough(len(candidates), options)
+    indices = sorted(int(i) for i in rng.choice(len(candidates), options, replace=False))
+    returns = _returns(ensemble, [candidates[i] for i in indices], robot, context, waypoints)
+    return Query(indices=tuple(indices), information=float(information_gain(rationality * returns)))
+
+
+def most_informative(returns: ArrayLike, options: int = 2) -> Query:
+    """Find the candidates whose comparison tells the most (paper eq. M7).
+
+    Two options: the best of all pairs. More: the best pair, grown by the candidate that adds the most, then improved
+    by the best single swaps, because 1000 candidates make 166 million triples. Known weakness: a better set may be two
+    swaps away.
+
+    Args:
+        returns: Each member's return of each candidate, times the rationality, shape (m, N) [1].
+        options: Motions to compare, 2 to N.
+
+    Returns:
+        The query; the first best one where several tell the same.
+
+    Raises:
+        InputError: Fewer than two options, fewer candidates than options, or a return that is not finite.
+    """
+    returns = np.asarray(returns, dtype=np.float64)
+    members, count = returns.shape
+    _require_enough(count, options)
+    chosen, information = (0, 1), -1.0
+    for first in range(0, count - 1, _BLOCK):
+        rows, columns = np.arange(first, min(first + _BLOCK, count - 1)), np.arange(first + 1, count)
+        pairs = np.empty((members, 2, len(rows), len(columns)))
+        pairs[:, 0], pairs[:, 1] = returns[:, rows, None], returns[:, None, columns]
+        # members and options come first in memory: sums over them then run along the long axes
+        gains = np.where(rows[:, None] < columns, information_gain(np.moveaxis(pairs, (0, 1), (-2, -1))), -1.0)
+        row, column = np.unravel_index(np.argmax(gains), gains.shape)
+        if gains[row, column] > information:
+            chosen, information = (int(rows[row]), int(columns[column])), float(gains[row, column])
+    return _widened(returns, chosen, information, options)
+
+
+def _widened(returns: Array, pair: tuple[int, ...], information: float, options: int) -> Query:
+    """Grow a pair by the candidate that adds the most, then make the best single swap while that tells more."""
+    chosen, best = list(pair), information
+    while len(chosen) < options:
+        gains = _gains_with(returns, chosen)
+        chosen.append(int(np.argmax(gains)))
+        best = float(gains[chosen[-1]])
+    while options > 2:
+        kept = [chosen[:place] + chosen[place + 1:] for place in range(options)]
+        gains = np.stack([_gains_with(returns, others) for others in kept])
+        place, candidate = np.unravel_index(np.argmax(gains), gains.shape)
+        if gains[place, candidate] < best + 1e-9:
+            break
+        chosen, best = [*kept[place], int(candidate)], float(gains[place, candidate])
+    return Query(indices=tuple(sorted(chosen)), information=best)
+
+
+def _gains_with(returns: Array, chosen: list[int]) -> Array:
+    """Compute the information of the chosen candidates with each other one, -1 for themselves, shape (N,) [bit]."""
+    count = returns.shape[1]
+    sets = np.stack([*(np.repeat(returns[:, [i]], count, axis=1) for i in chosen), returns], axis=-1)
+    gains = information_gain(sets.transpose(1, 0, 2))
+    gains[chosen] = -1.0
+    return gains
 
 
 def vary_trajectory(robot: RobotModel, trajectory: Trajectory, size_m: float, count: int,
@@ -109,37 +187,60 @@ def vary_trajectory(robot: RobotModel, trajectory: Trajectory, size_m: float, co
     inverses = jacobians.transpose(0, 2, 1) @ np.linalg.inv(damped)
     shifts = np.zeros((count, len(trajectory.times), 6))
     shifts[..., :3] = sample_deformations(len(trajectory.times), np.full((count, 3), size_m), rng)
-    bends = np.einsum("hjs,khs->khj", inverses, shifts)
-    return [_bent(robot, trajectory, bend) for bend in bends]
+    return _bent(robot, trajectory, (inverses @ shifts[..., None])[..., 0])
 
 
-def with_variations(robot: RobotModel, given: Sequence[Trajectory], size_m: float, count: int,
+def with_variations(robot: RobotModel, given: Sequence[Trajectory], size_m: float, total: int,
                     rng: np.random.Generator) -> list[Trajectory]:
     """Add variations to motions, so that a query can choose among more than what is there.
 
     Args:
         robot: The arm.
-        given: Motions, at least one.
+        given: Motions, at least one: optima, past motions, or any others [rad].
         size_m: Size of the variations at the tool [m].
-        count: Variations in all, shared evenly by the motions; at least one each.
+        total: Number of motions to end with, if more than given; the given ones are varied equally often.
         rng: Source of randomness.
 
     Returns:
         The motions, then their variations.
     """
-    each = max(1, count // len(given))
-    return [*given, *(variation for motion in given for variation in vary_trajectory(robot, motion, size_m, each, rng))]
+    counts = np.diff(np.linspace(0, max(0, total - len(given)), len(given) + 1).astype(int))
+    return [*given, *(variation for motion, count in zip(given, counts, strict=True)
+                      for variation in vary_trajectory(robot, motion, size_m, int(count), rng))]
 
 
-def _bent(robot: RobotModel, trajectory: Trajectory, bend: Array) -> Trajectory:
-    """Add as much of a joint-space deformation as the limits allow."""
-    for scale in 0.8 ** np.arange(20):
-        positions = trajectory.positions + scale * bend
-        velocities = np.gradient(positions, trajectory.times, axis=0)
-        within = (positions >= robot.lower).all() and (positions <= robot.upper).all()
-        if within and (np.abs(velocities) <= robot.velocity_limits).all():
-            break
-    else:
-        positions, velocities = trajectory.positions, np.gradient(trajectory.positions, trajectory.times, axis=0)
-    return Trajectory(joint_names=trajectory.joint_names, times=trajectory.times, positions=positions,
-                      velocities=velocities)
+def _bent(robot: RobotModel, trajectory: Trajectory, bends: Array) -> list[Trajectory]:
+    """Add as much of each joint-space deformation, shape (K, H, n) [rad], as the limits allow."""
+    speeds, more = (np.gradient(p, trajectory.times, axis=-2) for p in (trajectory.positions, bends))
+    shares = np.minimum(_share_within(trajectory.positions, bends, robot.lower, robot.upper),
+                        _share_within(speeds, more, -robot.velocity_limits, robot.velocity_limits))[:, None, None]
+    return [Trajectory(joint_names=trajectory.joint_names, times=trajectory.times, positions=p, velocities=v)
+            for p, v in zip(trajectory.positions + shares * bends, speeds + shares * more, strict=True)]
+
+
+def _share_within(values: Array, changes: Array, lower: Array, upper: Array) -> Array:
+    """Find the largest share of each change, at most 1, that keeps values, shape (H, n), within limits; shape (K,)."""
+    room = np.where(changes > 0.0, upper - values, values - lower)
+    shares = np.maximum(room, 0.0) / np.maximum(np.abs(changes), 1e-12)
+    # a hair less, since a share of exactly the room may end beyond the limit by rounding
+    return np.asarray((1.0 - 1e-9) * np.minimum(shares.min(axis=(1, 2)), 1.0))
+
+
+def _returns(ensemble: RewardEnsemble, candidates: Sequence[Trajectory], robot: RobotModel, context: Context,
+             waypoints: int) -> Array:
+    """Compute each member's return of each candidate, shape (m, N) [reward]."""
+    for trajectory in candidates:
+        if trajectory.joint_names != robot.joint_names:
+            raise InputError("joints of a candidate", expected=robot.joint_names, got=trajectory.joint_names)
+    if not candidates:
+        return np.zeros((ensemble.members, 0))
+    states = robot.tool_states(np.concatenate([t.resampled(waypoints) for t in candidates]))
+    rewards = ensemble.bind(context).member_rewards(states)
+    return np.asarray(rewards.reshape(ensemble.members, len(candidates), waypoints).sum(axis=2))
+
+
+def _require_enough(candidates: int, options: int) -> None:
+    if options < 2:
+        raise InputError("options of a query", expected="at least two", got=options)
+    if candidates < options:
+        raise InputError("candidates for a query", expected=f"at least {options}", got=candidates)

@@ -114,7 +114,8 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         config: Settings.
         version: Version of the new model.
         seed: Seed of everything random.
-        previous: Model to go on from, if the settings allow it and its inputs and sizes are the same.
+        previous: Model to go on from, if the settings allow it, its inputs and sizes are the same, and all that it
+            learned from is still there: after an undo, training from scratch gives the model of what is left.
         on_progress: Called now and then with the share of the steps that are done.
 
     Returns:
@@ -129,7 +130,9 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
     sizes = (len(buffer.inputs), *config.hidden, 1)
     with _one_thread():
         networks = Networks(sizes, config.members, rng)
-        warm = config.warm_steps > 0 and previous is not None and networks.load(previous, buffer.inputs)
+        # a model that knows an input that was taken back since would keep a trace of it
+        grown = previous is not None and set(previous.feedback_ids) <= {item.id for item in dataset.items}
+        warm = config.warm_steps > 0 and previous is not None and grown and networks.load(previous, buffer.inputs)
         steps = config.warm_steps if warm else config.steps
         _optimise(networks, buffer, config, steps, config.warm_learning_rate if warm else config.learning_rate,
                   rng, on_progress)

@@ -1,0 +1,1 @@
+"""Measurements of the methods: what is run, how it is judged."""
