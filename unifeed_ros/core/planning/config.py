@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from unifeed_ros.core.errors import ConfigError
+from unifeed_ros.core.planning.qp import SOLVERS, SolverName
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +41,8 @@ class PlannerConfig:
     """Largest factor by which a motion may be slowed down to become feasible [1]."""
     sample_rate: float = 100.0
     """Rate of the points of the motion [Hz]."""
+    qp_solver: SolverName = "piqp"
+    """Solver of the quadratic programmes: piqp, osqp or own."""
     seed: int = 0
     """Seed of the deformed starts."""
 
@@ -47,6 +50,8 @@ class PlannerConfig:
         """Reject values that would only fail in the middle of a search."""
         if self.waypoints < 5:
             raise ConfigError("waypoints", expected=">= 5", got=self.waypoints)
+        if self.qp_solver not in SOLVERS:
+            raise ConfigError("qp_solver", expected=", ".join(SOLVERS), got=self.qp_solver)
         for name in ("starts", "max_iterations"):
             if getattr(self, name) < 1:
                 raise ConfigError(name, expected=">= 1", got=getattr(self, name))
