@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder
+from unifeed_ros.cli.bench_planner import run_planner_bench
 from unifeed_ros.core.errors import UnifeedError
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
@@ -28,12 +29,17 @@ TABLE_LESSONS = tuple(("panda", "table", seed) for seed in range(10)) + tuple(
 
 def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `bench` to the command line."""
-    parser = commands.add_parser("bench", help="measure: lesson")
+    parser = commands.add_parser("bench", help="measure: lesson, planner")
     parser.add_argument(
-        "name", choices=["lesson", "all"], help="lesson: whole demos, Panda seeds 0-9 and UR10 seeds 0-4"
+        "name", choices=["lesson", "planner", "all"],
+        help="lesson: whole demos, Panda seeds 0-9 and UR10 seeds 0-4; planner: plans beside SciPy's SLSQP"
     )
     parser.add_argument("--robot", action="append", help="only this robot (may be repeated)")
-    parser.add_argument("--task", default="table", help="task of every lesson (default: table)")
+    parser.add_argument("--task", help="only this task (default: table; planner: table, laptop, cup)")
+    parser.add_argument("--pairs", type=int, default=50, help="planner: start-goal pairs a task (default: 50)")
+    parser.add_argument("--peer-pairs", type=int, default=5, help="planner: pairs for the peers too (default: 5)")
+    parser.add_argument("--peer-limit", type=float, default=60.0,
+                        help="planner: processor time after which SLSQP is ended [s] (default: 60)")
     parser.add_argument("--seeds", type=int, help="number of seeds a robot (default: 10 for panda, 5 for ur10)")
     parser.add_argument("--in-process", action="store_true",
                         help="without ROS, in one process, many times faster than real time; the same core code")
@@ -45,6 +51,8 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
 
 def run_bench(options: argparse.Namespace) -> int:
     """Run the lessons one after the other through the real nodes and print the table; 0 only if all were completed."""
+    if options.name == "planner":
+        return run_planner_bench(options)
     out = prepare_folder(options.out or Path("out") / time.strftime("bench-%Y%m%d-%H%M%S"))
     lessons = _chosen(options)
     rows = []
@@ -78,7 +86,7 @@ def _chosen(options: argparse.Namespace) -> list[tuple[str, str, int]]:
     counts = {"panda": 10, "ur10": 5}
     if unknown := sorted(set(robots) - set(counts)):
         raise UserMistake("unknown robot", expected="panda or ur10", got=", ".join(unknown))
-    return [(r, options.task, seed) for r in robots for seed in range(options.seeds or counts[r])]
+    return [(r, options.task or "table", seed) for r in robots for seed in range(options.seeds or counts[r])]
 
 
 def _run_lesson(robot: str, task: str, seed: int, out: Path, speed: float) -> dict[str, Any]:

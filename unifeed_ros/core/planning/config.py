@@ -20,8 +20,9 @@ class PlannerConfig:
     Roughness is the mean square of acceleration over its limit, so it never costs more than this: the optimum is
     hardly moved, and motions of equal reward are told apart.
     """
-    starts: int = 2
-    """Number of motions that the search starts from, the straight line and given seeds first."""
+    starts: int = 1
+    """Number of motions that the search starts from, the straight line and given seeds first; a seed comes on top of
+    one. A second start took as long again and gained at most 0.3 % of the objective over learned rewards."""
     max_iterations: int = 60
     """Largest number of iterations from each start."""
     tolerance: float = 2e-4
