@@ -1,158 +1,62 @@
-"""`unifeed bench`: the project's figures, measured again on this machine."""
+"""`unifeed bench NAME`: the project's figures, measured again on this machine."""
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import subprocess
-import sys
-import time
+from importlib import import_module
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder
-from unifeed_ros.cli.bench_reward import add_reward_options, measure_reward, reward_table
-from unifeed_ros.core.errors import UnifeedError
-from unifeed_ros.core.robot import RobotModel, load_robot
-from unifeed_ros.core.scene import load_scene
-from unifeed_ros.resources import config_path
-from unifeed_ros.simulation.lesson import run_lesson
-
-TABLE_LESSONS = tuple(("panda", "table", seed) for seed in range(10)) + tuple(
-    ("ur10", "table", seed) for seed in range(5)
-)
-"""Robot, task and seed of each lesson."""
+BENCHMARKS = ("reward", "planner", "lesson")
+"""Each has a module unifeed_ros.cli.bench_<name> with a function run(options), loaded only when it is asked for."""
 
 
 def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `bench` to the command line."""
-    parser = commands.add_parser("bench", help="measure: reward, lesson")
-    parser.add_argument(
-        "name", choices=["reward", "lesson", "all"],
-        help="reward: training beside the paper's procedure; lesson: whole demos, Panda seeds 0-9 and UR10 seeds 0-4"
-    )
-    parser.add_argument("--robot", action="append", help="only this robot (may be repeated)")
+    parser = commands.add_parser("bench", help="measure the figures that the documentation gives")
+    names = parser.add_subparsers(dest="benchmark", required=True, metavar="NAME")
+    added = {}
+    for name, text in (("reward", "training beside the paper's procedure, with the quality of both"),
+                       ("planner", "plans beside SciPy's SLSQP on the very same problems"),
+                       ("lesson", "whole demos: Panda seeds 0-9 and UR10 seeds 0-4"),
+                       ("all", "all of them, each with its defaults")):
+        added[name] = names.add_parser(name, help=text, description=text)
+        added[name].add_argument("--json", action="store_true", help="print JSON")
+        added[name].set_defaults(run=run_bench)
+    _add_reward_options(added["reward"])
+    _add_planner_options(added["planner"])
+    _add_lesson_options(added["lesson"])
+    added["all"].set_defaults(parser=parser)
+
+
+def run_bench(options: argparse.Namespace) -> int:
+    """Run one benchmark, or all; 0 only if everything was completed."""
+    if options.benchmark != "all":
+        return int(import_module(f"unifeed_ros.cli.bench_{options.benchmark}").run(options))
+    more = ["--json"] if options.json else []
+    return max(run_bench(options.parser.parse_args([name, *more])) for name in BENCHMARKS)
+
+
+def _add_reward_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--people", type=int, default=3, help="simulated people a task (default: 3)")
+    parser.add_argument("--repeats", type=int, default=3, help="trainings that a time is the median of (default: 3)")
+    parser.add_argument("--horizons", type=int, nargs="+", default=[10, 40], metavar="H",
+                        help="numbers of way-points (default: 10 40)")
+
+
+def _add_planner_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--robot", action="append", help="only this robot (may be repeated; default: panda, ur10)")
+    parser.add_argument("--task", help="only this task (default: table, laptop, cup)")
+    parser.add_argument("--pairs", type=int, default=50, help="start-goal pairs a task (default: 50)")
+    parser.add_argument("--peer-pairs", type=int, default=5, help="pairs that the peers solve too (default: 5)")
+    parser.add_argument("--peer-limit", type=float, default=60.0,
+                        help="processor time after which SLSQP is ended [s] (default: 60)")
+
+
+def _add_lesson_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--robot", action="append", help="only this robot (may be repeated; default: panda, ur10)")
     parser.add_argument("--task", default="table", help="task of every lesson (default: table)")
     parser.add_argument("--seeds", type=int, help="number of seeds a robot (default: 10 for panda, 5 for ur10)")
     parser.add_argument("--in-process", action="store_true",
                         help="without ROS, in one process, many times faster than real time; the same core code")
     parser.add_argument("--speed", type=float, default=1.0, help="simulated seconds per second (default: 1)")
     parser.add_argument("--out", type=Path, help="folder for the lessons (default: out/bench-<date>-<time>)")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    add_reward_options(parser)
-    parser.set_defaults(run=run_bench)
-
-
-def run_bench(options: argparse.Namespace) -> int:
-    """Measure what was asked for and print it; 0 only if everything was completed."""
-    figures, texts, ok = {}, [], True
-    if options.name in ("reward", "all"):
-        figures["reward"] = measure_reward(options)
-        texts.append(reward_table(figures["reward"]))
-    if options.name in ("lesson", "all"):
-        figures["lesson"] = measure_lessons(options)
-        texts.append(markdown(figures["lesson"]))
-        ok = all(row["ok"] for row in figures["lesson"]["lessons"])
-    if options.json:
-        print(json.dumps(figures if options.name == "all" else figures[options.name], indent=2))
-    else:
-        print("\n\n".join(texts))
-    return 0 if ok else 1
-
-
-def measure_lessons(options: argparse.Namespace) -> dict[str, Any]:
-    """Run the lessons one after the other through the real nodes, and keep their figures in a file too."""
-    out = prepare_folder(options.out or Path("out") / time.strftime("bench-%Y%m%d-%H%M%S"))
-    lessons = _chosen(options)
-    rows = []
-    for k, (robot, task, seed) in enumerate(lessons):
-        rows.append(_in_process(robot, task, seed) if options.in_process
-                    else _run_lesson(robot, task, seed, out, options.speed))
-        print(f"{k + 1}/{len(lessons)} {_line(rows[-1])}", file=sys.stderr, flush=True)
-    table = {"machine": {"cpus": os.cpu_count(), "load": os.getloadavg()[0], "speed": options.speed}, "lessons": rows,
-             "summary": [_summary(rows, robot) for robot in dict.fromkeys(row["robot"] for row in rows)]}
-    (out / "lessons.json").write_text(json.dumps(table, indent=2) + "\n")
-    return table
-
-
-def markdown(table: dict[str, Any]) -> str:
-    """Write the summary as a Markdown table."""
-    lines = [
-        "| robot | task | lessons | ok | median after first input | median final | 90th percentile | worst | better "
-        "than first | median time [s] |",
-        "| --- " * 10 + "|",
-    ]
-    for s in table["summary"]:
-        lines.append(f"| {s['robot']} | {s['task']} | {s['lessons']} | {s['ok']} | {s['first_median']:.3f} | "
-                     f"{s['final_median']:.3f} | {s['final_p90']:.3f} | {s['final_worst']:.3f} | "
-                     f"{s['improved']}/{s['lessons']} | {s['seconds_median']:.0f} |")
-    return "\n".join(lines)
-
-
-def _chosen(options: argparse.Namespace) -> list[tuple[str, str, int]]:
-    robots = options.robot or ["panda", "ur10"]
-    counts = {"panda": 10, "ur10": 5}
-    if unknown := sorted(set(robots) - set(counts)):
-        raise UserMistake("unknown robot", expected="panda or ur10", got=", ".join(unknown))
-    return [(r, options.task, seed) for r in robots for seed in range(options.seeds or counts[r])]
-
-
-def _run_lesson(robot: str, task: str, seed: int, out: Path, speed: float) -> dict[str, Any]:
-    """Run one demo in a process of its own, on a domain of its own, and read its report."""
-    folder = out / f"{robot}-{task}-{seed}"
-    environment = dict(os.environ, ROS_DOMAIN_ID=os.environ.get("ROS_DOMAIN_ID", "71"))
-    began = time.monotonic()
-    done = subprocess.run(
-        [sys.executable, "-m", "unifeed_ros.cli.main", "demo", "--robot", robot, "--task", task, "--seed", str(seed),
-         "--speed", str(speed), "--out", str(folder)], env=environment, capture_output=True, text=True, check=False)
-    row: dict[str, Any] = {"robot": robot, "task": task, "seed": seed, "ok": done.returncode == 0,
-                           "seconds": time.monotonic() - began, "first": np.nan, "final": np.nan, "message": ""}
-    report = folder / "report.json"
-    if report.is_file():
-        figures = json.loads(report.read_text())
-        regrets = [i["normalised_regret"] for i in figures["interactions"]]
-        if regrets:
-            row.update(first=regrets[0], final=regrets[-1], regrets=regrets)
-        row["message"], row["dropped"], row["loop"] = (
-            figures["message"],
-            figures["recording"]["dropped"],
-            figures["loop"],
-        )
-    if not row["ok"]:
-        row["message"] = row["message"] or (done.stderr.strip().splitlines() or [f"on domain {domain()}"])[-1]
-    return row
-
-
-def _in_process(robot: str, task: str, seed: int) -> dict[str, Any]:
-    """Run one lesson without ROS: the nodes' core code, the same simulated arm and person."""
-    began = time.monotonic()
-    row: dict[str, Any] = {"robot": robot, "task": task, "seed": seed, "ok": False, "first": np.nan, "final": np.nan,
-                           "message": ""}
-    try:
-        result = run_lesson(RobotModel(load_robot(config_path("robots", robot))),
-                            load_scene(config_path("tasks", task)), seed=seed)
-        regrets = [step.normalised_regret for step in result.interactions]
-        row.update(ok=True, first=regrets[0], final=regrets[-1], regrets=regrets)
-    except UnifeedError as error:
-        row["message"] = str(error)
-    return {**row, "seconds": time.monotonic() - began}
-
-
-def _line(row: dict[str, Any]) -> str:
-    return (f"{row['robot']} {row['task']} seed {row['seed']}: {'ok' if row['ok'] else 'FAILED ' + row['message']}, "
-            f"normalised regret {row['first']:.3f} -> {row['final']:.3f}, {row['seconds']:.0f} s")
-
-
-def _summary(rows: list[dict[str, Any]], robot: str) -> dict[str, Any]:
-    chosen = [row for row in rows if row["robot"] == robot]
-    first = np.array([row["first"] for row in chosen], dtype=float)
-    final = np.array([row["final"] for row in chosen], dtype=float)
-    return {
-        "robot": robot, "task": chosen[0]["task"], "lessons": len(chosen), "ok": sum(row["ok"] for row in chosen),
-        "first_median": float(np.median(first)), "final_median": float(np.median(final)),
-        "final_p90": float(np.percentile(final, 90)), "final_worst": float(final.max()),
-        "improved": int((final < first).sum()), "seconds_median": float(np.median([row["seconds"] for row in chosen])),
-    }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 from typing import Any
@@ -17,13 +18,11 @@ TASKS = ("table", "laptop")
 """Tasks that the quality is judged on; times are of the first."""
 
 
-def add_reward_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that only `bench reward` reads."""
-    group = parser.add_argument_group("reward")
-    group.add_argument("--people", type=int, default=3, help="simulated people a task (default: 3)")
-    group.add_argument("--repeats", type=int, default=3, help="trainings that a time is the median of (default: 3)")
-    group.add_argument("--horizons", type=int, nargs="+", default=[10, 40], metavar="H",
-                       help="numbers of way-points (default: 10 40)")
+def run(options: argparse.Namespace) -> int:
+    """Measure and print the table."""
+    figures = measure_reward(options)
+    print(json.dumps(figures, indent=2) if options.json else reward_table(figures))
+    return 0
 
 
 def measure_reward(options: argparse.Namespace) -> dict[str, Any]:

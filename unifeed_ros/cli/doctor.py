@@ -16,7 +16,8 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
-PACKAGES = {"rclpy": "rclpy", "torch": "torch", "pinocchio": "pin", "osqp": "osqp", "mujoco": "mujoco", "mcap": "mcap"}
+PACKAGES = {"rclpy": "rclpy", "torch": "torch", "pinocchio": "pin", "osqp": "osqp", "piqp": "piqp",
+            "mujoco": "mujoco", "mcap": "mcap"}
 """Distribution that holds each module."""
 LOOP_SECONDS = 2.0
 """Time over which the control loop's timing is tried [s]."""

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import LinearConstraint, NonlinearConstraint, minimize
 
+from unifeed_ros.baselines.slsqp import solve_with_slsqp
 from unifeed_ros.core.planning.check import motion_bounds
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.problem import PlanningProblem
@@ -76,37 +76,16 @@ def test_optimum_is_as_good_as_slsqps(panda, rewards, seed):
     config = PlannerConfig(waypoints=9, tolerance=1e-6, max_iterations=150)
     problem = make_problem(panda, rewards["network"](seed), config)
     found = _search(problem, config)[-1]
-    shape = (len(problem.free), panda.robot.n)
-    at = _Remembered(problem, shape)
-    zero = problem.rate_shares(problem.complete(np.zeros(shape))).ravel()
-    rates = np.kron(problem.rates[:, problem.free], np.eye(panda.robot.n)) / problem.rate_limits.ravel()[:, None]
-    reference = minimize(
-        lambda x: at(x).cost, straight_line(problem)[problem.free].ravel(), method="SLSQP",
-        jac=lambda x: (at(x).reward_gradients + at(x).roughness_gradient).ravel(),
-        bounds=list(zip(np.tile(problem.bounds.lower, shape[0]), np.tile(problem.bounds.upper, shape[0]), strict=True)),
-        constraints=[LinearConstraint(rates, -1.0 - zero, 1.0 - zero),
-                     NonlinearConstraint(lambda x: at(x).clearances.ravel(), 0.0, np.inf, jac=at.clearance_jacobian)],
-        options={"maxiter": 150, "ftol": 1e-7})
-    assert at(reference.x).violation < 1e-5
+    peer = solve_with_slsqp(problem, straight_line(problem), exact=True)
+    reference = problem.evaluate(peer.waypoints)
+    assert peer.converged and reference.violation < 1e-5
     assert found.violation < 1e-5
-    assert found.cost <= reference.fun + 2e-3 * abs(reference.fun)
+    assert found.cost <= reference.cost + 2e-3 * abs(reference.cost)
 
 
-class _Remembered:
-    """The problem at a flat vector, evaluated once for each."""
-
-    def __init__(self, problem, shape):
-        self.problem, self.shape, self.last = problem, shape, None
-
-    def __call__(self, x):
-        if self.last is None or not np.array_equal(self.last[0], x):
-            self.last = (x.copy(), self.problem.evaluate(self.problem.complete(x.reshape(self.shape))))
-        return self.last[1]
-
-    def clearance_jacobian(self, x):
-        jacobians = self(x).clearance_jacobians
-        m, points, n = jacobians.shape
-        dense = np.zeros((m, points, m, n))
-        for k in range(m):
-            dense[k, :, k] = jacobians[k]
-        return dense.reshape(m * points, m * n)
+def test_slsqps_are_ended_in_time_with_the_best_so_far(panda, rewards):
+    problem = make_problem(panda, rewards["network"](0), PlannerConfig(waypoints=9))
+    line = straight_line(problem)
+    ended = solve_with_slsqp(problem, line, exact=False, limit=0.3)
+    assert not ended.converged and ended.seconds < 3.0
+    assert merit(problem.evaluate(ended.waypoints)) <= merit(problem.evaluate(line))

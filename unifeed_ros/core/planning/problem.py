@@ -10,7 +10,8 @@ from unifeed_ros.core.errors import PlanningError
 from unifeed_ros.core.planning.arm_points import ArmPoints
 from unifeed_ros.core.planning.check import MotionBounds
 from unifeed_ros.core.planning.config import PlannerConfig
-from unifeed_ros.core.planning.sampling import knot_maps
+from unifeed_ros.core.planning.qp import QPConstants
+from unifeed_ros.core.planning.sampling import knot_maps, spline_basis
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array
 
@@ -65,18 +66,20 @@ class PlanningProblem:
 
     minimise -1/scale sum_k r(x(q_k)) + smoothness sum_k mean_j (a_kj / a_max_j)^2, with q_0 the start and q_{H-1} the
     goal, where accelerations a and velocities are those of the clamped cubic spline through the way-points. Between
-    knots its acceleration is linear and its velocity a parabola inside its Bezier control points, so that limits at
-    the knots and control points hold everywhere. Heights over the floors are the only constraints that are not linear.
+    knots its acceleration is linear and its velocity a parabola inside its Bezier control points. A velocity at a knot
+    is the mean of the control points on both sides, so that limits of accelerations at the knots and of the middle
+    control points hold everywhere. Heights over the floors are the only constraints that are not linear.
 
     Attributes:
         count: Number of way-points H.
         free: Indices of the way-points that may move, m of them.
         scale: Reward's spread that the cost is divided by [reward].
-        rates: Linear map from way-points to what is limited, shape (R, H): accelerations, velocities and their
-            control points.
+        rates: Linear map from way-points to what is limited, shape (R, H): accelerations, and the velocities'
+            middle control points.
         rate_limits: Their limits less the margin, shape (R, n).
         roughness_hessian: Hessian of the roughness over free way-points for a joint of unit weight, shape (m, m).
         roughness_weights: Weight of each joint in it, shape (n,).
+        qp_solver: Name of the solver of its quadratic models.
     """
 
     def __init__(self, robot: RobotModel, reward: StateReward | None, start: Array, goal: Array | None, duration: float,
@@ -105,13 +108,14 @@ class PlanningProblem:
         velocity, acceleration = knot_maps(self.count, duration)
         half = 0.5 * duration / (self.count - 1)
         between = velocity[:-1] + half * acceleration[:-1]  # middle control points of the velocity's parabolas
-        self.rates = np.vstack([acceleration, velocity[1:-1], between])
-        limits = [bounds.acceleration] * self.count + [bounds.velocity] * (2 * self.count - 3)
+        self.rates = np.vstack([acceleration, between])
+        limits = [bounds.acceleration] * self.count + [bounds.velocity] * (self.count - 1)
         self.rate_limits = np.array(limits) * (1.0 - config.margin)
         self._acceleration = acceleration
         self.smoothness = config.smoothness if reward is not None else 1.0
         self.roughness_weights = self.smoothness / (self.joints * bounds.acceleration**2)
         self.roughness_hessian = 2.0 * acceleration[:, self.free].T @ acceleration[:, self.free]
+        self.qp_solver = config.qp_solver
         self.scale = self._spread()
 
     def raised(self, height: float) -> PlanningProblem:
@@ -121,6 +125,11 @@ class PlanningProblem:
             height: How much higher [m].
         """
         return PlanningProblem(*self._arguments, height_margin=self._height_margin + height)
+
+    def qp_constants(self) -> QPConstants:
+        """Return what all quadratic models of this problem share."""
+        return QPConstants(self.rates[:, self.free], self.rate_limits, self.roughness_hessian, self.roughness_weights,
+                           spline_basis(self.count, ends_free=self.goal is None))
 
     def complete(self, free: Array) -> Array:
         """Add the fixed ends to free way-points.

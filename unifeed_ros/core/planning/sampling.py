@@ -49,6 +49,30 @@ def knot_maps(count: int, duration: float) -> tuple[Array, Array]:
     return maps[0], maps[1]
 
 
+def spline_basis(count: int, *, ends_free: bool) -> Array:
+    """Compute the way-points that the coefficients of the clamped cubic spline stand for.
+
+    Way-point k is (c_{k-1} + 4 c_k + c_{k+1}) / 6, where c_0 and the one before it let the spline start at rest from 0;
+    a fixed last way-point does the same at the end, a free one only stays at rest. All derivatives at a knot depend on
+    its three nearest coefficients alone.
+
+    Args:
+        count: Number of way-points H.
+        ends_free: True if the last way-point is free.
+
+    Returns:
+        Map from the m coefficients to the m free way-points, tridiagonal, shape (m, m), m = H - 1 or H - 2.
+    """
+    m = count - 1 if ends_free else count - 2
+    basis = (4.0 * np.eye(m) + np.eye(m, k=1) + np.eye(m, k=-1)) / 6.0
+    basis[0, 0] -= 0.5 / 6.0
+    if ends_free:
+        basis[-1, -2] += 1.0 / 6.0
+    else:
+        basis[-1, -1] -= 0.5 / 6.0
+    return basis
+
+
 def shortest_duration(distance: Array, velocity: Array, acceleration: Array) -> float:
     """Compute the time of the fastest rest-to-rest motion over joint distances.
 

@@ -9,8 +9,9 @@ import numpy as np
 from unifeed_ros.core.errors import PlanningError
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.problem import PlanningProblem
-from unifeed_ros.core.planning.qp import WaypointQP, WaypointSolver
+from unifeed_ros.core.planning.qp import WaypointQP
 from unifeed_ros.core.planning.sampling import rest_to_rest
+from unifeed_ros.core.planning.solvers import make_solver
 from unifeed_ros.core.types import Array, frozen_array
 
 _DEFORMATION = 0.5
@@ -36,8 +37,8 @@ class StartRepair:
         """
         self._problem = problem
         m, n = len(problem.free), problem.joints
-        uncoupled = np.zeros((m, m)), np.zeros(n)
-        self._solver = WaypointSolver(problem.rates[:, problem.free], problem.rate_limits, *uncoupled)
+        self._solver = make_solver(problem.qp_solver, problem.qp_constants()._replace(
+            coupling=np.zeros((m, m)), coupling_weights=np.zeros(n)))
         line = straight_line(problem)
         self.line = self._nearest(line, line)
 

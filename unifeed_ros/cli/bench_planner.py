@@ -1,0 +1,140 @@
+"""`unifeed bench planner`: how fast and how good plans are, beside SciPy's SLSQP on the very same problems."""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import sys
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from unifeed_ros.baselines.slsqp import SlsqpResult, solve_with_slsqp
+from unifeed_ros.core.planning.check import motion_bounds
+from unifeed_ros.core.planning.config import PlannerConfig
+from unifeed_ros.core.planning.plan import Plan, plan_motion
+from unifeed_ros.core.planning.problem import PlanningProblem
+from unifeed_ros.core.planning.qp import SOLVERS
+from unifeed_ros.core.planning.starts import straight_line
+from unifeed_ros.core.reward.ensemble import RewardEnsemble
+from unifeed_ros.core.robot import RobotModel, load_robot
+from unifeed_ros.core.scene import load_scene
+from unifeed_ros.core.types import Array, Trajectory
+from unifeed_ros.resources import config_path
+from unifeed_ros.simulation.planning_problems import PlanningPair, random_pairs, taught_reward
+
+ROBOTS, TASKS, WAYPOINTS = ("panda", "ur10"), ("table", "laptop", "cup"), (20, 40)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Measure every robot, task and number of way-points, and print a table; 0 if every problem was solved."""
+    rows = []
+    for name, task in itertools.product(options.robot or ROBOTS, [options.task] if options.task else TASKS):
+        robot, scene = RobotModel(load_robot(config_path("robots", name))), load_scene(config_path("tasks", task))
+        model = taught_reward(robot, scene)
+        pairs = list(itertools.islice(random_pairs(robot, scene, PlannerConfig()), options.pairs))
+        for count in WAYPOINTS:
+            problems = [_measure(robot, model, pair, PlannerConfig(waypoints=count, time_budget=60.0),
+                                 options.peer_limit if k < options.peer_pairs else 0.0)
+                        for k, pair in enumerate(pairs)]
+            rows.append({"robot": name, "task": task, "waypoints": count, **_summary(problems)})
+            print(_line(rows[-1]), file=sys.stderr, flush=True)
+    table = {"machine": {"cpus": os.cpu_count(), "load": os.getloadavg()[0]}, "clock": "processor time of one thread",
+             "peer_limit_s": options.peer_limit, "summary": rows}
+    print(json.dumps(table, indent=2) if options.json else "\n".join(_line(row) for row in rows))
+    return 0 if all(row["solved"] == row["problems"] for row in rows) else 1
+
+
+def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, config: PlannerConfig,
+             peer_limit: float) -> dict[str, Any]:
+    """Solve one problem with each solver, and by the peers too where they have a time limit."""
+    reward = model.bind(pair.scene.context())
+    bounds = motion_bounds(robot, pair.scene, pair.start, pair.goal, config.arm_radius)
+    problem = PlanningProblem(robot, reward, pair.start, pair.goal, pair.scene.duration, bounds, config)
+    figures: dict[str, Any] = {}
+    for solver in SOLVERS:
+        if solver != config.qp_solver and not peer_limit:
+            continue
+        began = time.thread_time()
+        plan = plan_motion(robot, reward, pair.start, pair.goal, duration=pair.scene.duration, scene=pair.scene,
+                           config=replace(config, qp_solver=solver))
+        figures[f"{solver}_s"] = time.thread_time() - began
+        if solver == config.qp_solver:
+            chosen = plan
+    figures.update(seconds=figures[f"{config.qp_solver}_s"], solved=chosen.success,
+                   floor=_evaluation_time(problem, chosen) * chosen.iterations,
+                   violation=_violation(robot, problem, chosen.trajectory, chosen.waypoints) if chosen.success else 0.0)
+    if peer_limit:
+        exact, rough = (solve_with_slsqp(problem, straight_line(problem), exact=e, limit=peer_limit)
+                        for e in (True, False))
+        figures.update(exact=exact, fd=rough, gap=_gap(problem, chosen, exact))
+    return figures
+
+
+def _gap(problem: PlanningProblem, plan: Plan, peer: SlsqpResult) -> float:
+    """Compute how much lower the objective of a plan is than the peer's, as a share of it; negative: higher."""
+    ours, theirs = (problem.evaluate(w).cost for w in (plan.waypoints, peer.waypoints))
+    return (ours - theirs) / abs(theirs)
+
+
+def _evaluation_time(problem: PlanningProblem, plan: Plan) -> float:
+    """Measure one evaluation of network and kinematics with gradients at all way-points [s]."""
+    times = []
+    for _ in range(10):
+        began = time.thread_time()
+        geometry = problem.points.evaluate(plan.waypoints)
+        problem.reward.value_and_gradient(geometry.states)
+        times.append(time.thread_time() - began)
+    return float(np.median(times))
+
+
+def _violation(robot: RobotModel, problem: PlanningProblem, motion: Trajectory, waypoints: Array) -> float:
+    """Check a motion at 1 kHz, apart from the planner's own check: largest excess over any limit [rad, 1, 1, m]."""
+    duration, bounds = motion.duration, problem.bounds
+    spline = CubicSpline(np.linspace(0.0, duration, len(waypoints)), waypoints, bc_type="clamped")
+    times = np.linspace(0.0, duration, int(1000 * duration) + 1)
+    q: Array = spline(times)
+    return max(0.0, float(np.maximum(bounds.lower - q, q - bounds.upper).max()),
+               float((np.abs(spline(times, 1)) / bounds.velocity).max() - 1.0),
+               float((np.abs(spline(times, 2)) / bounds.acceleration).max() - 1.0),
+               float(bounds.floors[-1] - robot.tool_states(q)[:, 2].min()))
+
+
+def _summary(problems: list[dict[str, Any]]) -> dict[str, Any]:
+    seconds = np.array([p["seconds"] for p in problems])
+    peers = [p for p in problems if "exact" in p]
+    median = float(np.median(seconds))
+    summary: dict[str, Any] = {"median_s": median, "p95_s": float(np.percentile(seconds, 95))}
+    for solver in SOLVERS:
+        summary[f"{solver}_s"] = _median([p[f"{solver}_s"] for p in problems if f"{solver}_s" in p])
+    for name in ("fd", "exact"):
+        summary[f"slsqp_{name}_s"] = _median([p[name].seconds for p in peers])
+        summary[f"slsqp_{name}_converged"] = sum(p[name].converged for p in peers)
+        beside = [p[name].seconds / p["seconds"] for p in peers]
+        summary[f"ratio_{name}"] = _median(beside)
+    gaps = [p["gap"] for p in peers]
+    return {**summary, "peers": len(peers), "floor_s": _median([p["floor"] for p in problems]),
+            "worst_violation": max(p["violation"] for p in problems),
+            "objective_gap_p95": float(np.percentile(gaps, 95)) if gaps else None,
+            "solved": sum(p["solved"] for p in problems), "problems": len(problems)}
+
+
+def _median(values: list[float]) -> float | None:
+    return float(np.median(values)) if values else None
+
+
+def _line(row: dict[str, Any]) -> str:
+    line = (f"{row['robot']} {row['task']} {row['waypoints']}: median {row['median_s']:.3f} s, p95 {row['p95_s']:.3f} s"
+            f" (floor {row['floor_s']:.3f} s), solved {row['solved']}/{row['problems']}, worst violation "
+            f"{row['worst_violation']:.1e}")
+    if not row["peers"]:
+        return line
+    solvers = ", ".join(f"{solver} {row[f'{solver}_s']:.3f} s" for solver in SOLVERS)
+    peers = ", ".join(f"{name} {row[f'slsqp_{name}_s']:.1f} s (x{row[f'ratio_{name}']:.0f}, converged "
+                      f"{row[f'slsqp_{name}_converged']}/{row['peers']})" for name in ("fd", "exact"))
+    return f"{line}; {solvers}; SLSQP {peers}; gap p95 {row['objective_gap_p95']:+.4f}"
