@@ -207,10 +207,16 @@ def _mean(sums: Tensor, count: int) -> float:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Keep torch to one thread: small matrices gain nothing from more, and sums keep their order."""
+    """Keep torch to one thread: small matrices gain nothing from more, and sums keep their order.
+
+    Numbers too small for full precision count as zero: gradients of comparisons that are long decided are, and the
+    processor computes with them many times slower.
+    """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
     try:
         yield
     finally:
+        torch.set_flush_denormal(False)
         torch.set_num_threads(threads)
