@@ -11,7 +11,7 @@ import pytest
 from unifeed_ros.baselines.paper_reward import PaperTraining
 from unifeed_ros.cli.arguments import UserMistake
 from unifeed_ros.cli.bench_reward import measure_reward, reward_table
-from unifeed_ros.core.reward.training import TrainingConfig
+from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
 from unifeed_ros.experiments.reward_bench import bench_reward

@@ -18,7 +18,8 @@ from unifeed_ros.core.capture.feedback_capture import CapturedDemonstration, Fee
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.planning.plan import PlannerConfig, plan_motion
 from unifeed_ros.core.recording import check_bag, read_bag
-from unifeed_ros.core.reward.training import TrainingConfig, train_reward
+from unifeed_ros.core.reward.config import TrainingConfig
+from unifeed_ros.core.reward.training import train_reward
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
 from unifeed_ros.nodes.conversions import (

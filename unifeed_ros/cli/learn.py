@@ -20,9 +20,9 @@ from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import FeedbackItem
 from unifeed_ros.core.recording import bag_settings, read_bag
 from unifeed_ros.core.reward.buffer import AlternativesConfig
+from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.storage import save_model
-from unifeed_ros.core.reward.training import TrainingConfig, train_reward
 from unifeed_ros.core.robot import RobotConfig, RobotModel, load_robot
 from unifeed_ros.nodes.conversions import feedback_from_msg, model_from_msg
 from unifeed_ros.resources import config_path
@@ -62,6 +62,8 @@ def run_learn(options: argparse.Namespace) -> int:
     Raises:
         UnifeedError: Not bags of one session, or nothing was taught; nothing is written.
     """
+    from unifeed_ros.core.reward.training import train_reward  # loads torch: seconds that the other commands spare
+
     recorded = read_taught(options.bags, options.robot)
     wanted = _wanted(recorded, options.seed)
     rows, models = [], []

@@ -16,8 +16,9 @@ from torch.utils.flop_counter import FlopCounterMode
 from unifeed_ros.baselines.paper_reward import PaperTraining, buffer_pairs, train_as_the_paper
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.reward.buffer import build_buffer
+from unifeed_ros.core.reward.config import TrainingConfig, TrainingResult
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
-from unifeed_ros.core.reward.training import TrainingConfig, TrainingResult, train_reward
+from unifeed_ros.core.reward.training import train_reward
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.scene import Scene
 from unifeed_ros.experiments.reward_quality import (

@@ -17,9 +17,9 @@ from unifeed_msgs.srv import AnswerQuery, EvaluateReward, ListFeedback, SelectQu
 from unifeed_ros.core.errors import ConfigError, InputError, UnifeedError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
+from unifeed_ros.core.reward.config import TrainingConfig, TrainingResult
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.queries import random_query, select_query, with_variations
-from unifeed_ros.core.reward.training import TrainingConfig, TrainingResult
 from unifeed_ros.core.types import Context, Trajectory
 from unifeed_ros.nodes.conversions import (
     context_from_msg,

@@ -1,4 +1,7 @@
-"""Trains in a process of its own: a thread would keep the interpreter busy, and the node could not answer."""
+"""Trains in a process of its own: a thread would keep the interpreter busy, and the node could not answer.
+
+Only that process loads torch, which takes seconds; the node answers before.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,11 @@ from concurrent.futures import ProcessPoolExecutor
 from multiprocessing.sharedctypes import Synchronized
 from typing import Any
 
-import torch
 from rclpy.task import Future
 
 from unifeed_ros.core.errors import TrainingError, UnifeedError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
-from unifeed_ros.core.reward.training import TrainingConfig, TrainingResult, train_reward
+from unifeed_ros.core.reward.config import TrainingConfig, TrainingResult
 from unifeed_ros.core.robot import RobotConfig, RobotModel
 from unifeed_ros.nodes.parent_death import end_with_parent
 
@@ -85,6 +87,10 @@ def _prepare(progress: Synchronized[float]) -> None:
 
 def _warm_up() -> None:
     """Load what the first training would wait for, then give up priority."""
+    import torch
+
+    import unifeed_ros.core.reward.training  # noqa: F401
+
     weight = torch.zeros(1, requires_grad=True)
     optimiser = torch.optim.Adam([weight])
     weight.sum().backward()
@@ -95,6 +101,8 @@ def _warm_up() -> None:
 def _train(
     dataset: FeedbackDataset, robot: RobotConfig, config: TrainingConfig, arguments: dict[str, Any]
 ) -> TrainingResult:
+    from unifeed_ros.core.reward.training import train_reward
+
     return train_reward(dataset, RobotModel(robot), config, on_progress=_set_progress, **arguments)
 
 

@@ -12,9 +12,10 @@ from unifeed_ros.core.errors import ConfigError, PlanningError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
 from unifeed_ros.core.planning.plan import Plan, PlannerConfig, plan_motion
+from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.queries import select_query, with_variations
-from unifeed_ros.core.reward.training import TrainingConfig, train_reward
+from unifeed_ros.core.reward.training import train_reward
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.scene import Scene
 from unifeed_ros.core.types import Array, Trajectory

@@ -14,8 +14,9 @@ from unifeed_ros.core.feedback.items import Demonstration
 from unifeed_ros.core.planning.check import motion_bounds
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.sampling import shortest_duration
+from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
-from unifeed_ros.core.reward.training import TrainingConfig, train_reward
+from unifeed_ros.core.reward.training import train_reward
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.scene import Scene
 from unifeed_ros.core.types import Array

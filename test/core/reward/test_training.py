@@ -11,8 +11,9 @@ from unifeed_ros.core.errors import ConfigError, TrainingError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import Correction, Demonstration, Preference
 from unifeed_ros.core.reward.buffer import AlternativesConfig, build_buffer
+from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.reward.queries import vary_trajectory
-from unifeed_ros.core.reward.training import TrainingConfig, train_reward
+from unifeed_ros.core.reward.training import train_reward
 from unifeed_ros.core.types import Trajectory
 
 QUICK = TrainingConfig(hidden=(32, 32), steps=120, demonstration_comparisons=40, correction_comparisons=40,

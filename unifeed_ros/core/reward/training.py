@@ -3,101 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from unifeed_ros.core.errors import ConfigError, TrainingError
+from unifeed_ros.core.errors import TrainingError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
-from unifeed_ros.core.reward.buffer import AlternativesConfig, RankingsBuffer, build_buffer
-from unifeed_ros.core.reward.ensemble import RATIONALITY, RewardEnsemble
+from unifeed_ros.core.reward.buffer import RankingsBuffer, build_buffer
+from unifeed_ros.core.reward.config import TrainingConfig, TrainingResult
+from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.losses import LossTerms
 from unifeed_ros.core.reward.networks import Comparer, Networks
 from unifeed_ros.core.robot import RobotModel
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainingConfig:
-    """Settings of the reward ensemble's training."""
-
-    members: int = 8
-    """Number of networks, at least 2 (disagreement needs two). More than the paper's three because the mean of three
-    plans differently from seed to seed; with the smaller batch that each then sees, a step costs the same."""
-    hidden: Sequence[int] = (64, 64)
-    """Widths of the hidden layers."""
-    rationality: float = RATIONALITY
-    """How strongly returns decide a comparison, beta of the Luce choice rule [1/reward]."""
-    waypoints: int = 20
-    """States H that a motion is compared by; the planner should use as many."""
-    demonstration_comparisons: int = 200
-    """Weight of eq. M4 in the sum N_d."""
-    correction_comparisons: int = 50
-    """Weight of eq. M5 in the sum N_c. Less than a demonstration's because a
-    correction says nothing of the rest of the motion, and of how fast it should be."""
-    preference_comparisons: int = 5
-    """Weight of eq. M6 in the sum N_q: how often each ranked pair stands in the buffer. Less than the others because
-    the better of two motions, unlike what was shown, need not be good, and because questions are about near motions,
-    which a person often ranks wrongly: one such answer, repeated, bends the reward until it agrees."""
-    pool: int = 1000
-    """Alternatives drawn of each demonstration and each correction, which the steps choose from. More than the paper's
-    N_d and N_c, which stay the weights: what 200 of them happened to leave out differs from seed to seed by more than
-    a correction teaches, and all members share it, so that more members do not help against it."""
-    batch: int = 24
-    """Alternatives that each member sees in one step, shared evenly by demonstrations and corrections."""
-    steps: int = 250
-    """Steps of the optimiser from scratch."""
-    learning_rate: float = 7e-3
-    """Learning rate at the start; it falls to zero along a half cosine."""
-    weight_penalty: float = 1e-3
-    """Weight of the sum of squared weights of each member."""
-    warm_steps: int = 0
-    """Steps when going on from the previous model; 0: always from scratch."""
-    warm_learning_rate: float = 2e-3
-    """Learning rate at the start when going on from the previous model."""
-    alternatives: AlternativesConfig = field(default_factory=AlternativesConfig)
-    """How alternatives are drawn."""
-
-    def __post_init__(self) -> None:
-        """Reject values that would only fail in the middle of a lesson."""
-        object.__setattr__(self, "hidden", tuple(int(w) for w in self.hidden))
-        least = {"members": 2, "waypoints": 4, "demonstration_comparisons": 1, "correction_comparisons": 1,
-                 "preference_comparisons": 1, "pool": 1, "batch": 1, "steps": 1, "warm_steps": 0}
-        for name, bound in least.items():
-            if getattr(self, name) < bound:
-                raise ConfigError(name, expected=f"at least {bound}", got=getattr(self, name))
-        if not self.hidden or min(self.hidden) < 1:
-            raise ConfigError("hidden", expected="widths of at least 1", got=self.hidden)
-        for name in ("learning_rate", "warm_learning_rate"):
-            if not 0.0 < getattr(self, name) < 1.0:
-                raise ConfigError(name, expected="above 0 and below 1", got=getattr(self, name))
-        if not 0.0 < self.rationality < float("inf"):
-            raise ConfigError("rationality", expected="above 0", got=self.rationality)
-        if not self.weight_penalty >= 0.0:
-            raise ConfigError("weight_penalty", expected="not negative", got=self.weight_penalty)
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainingResult:
-    """A trained ensemble and how the training went."""
-
-    ensemble: RewardEnsemble
-    """The networks."""
-    seconds: float
-    """Wall-clock time [s]."""
-    steps: int
-    """Steps of the optimiser."""
-    loss_demonstrations: float
-    """Mean cross-entropy of a comparison with a demonstration, eq. M4 [nat]."""
-    loss_corrections: float
-    """Mean cross-entropy of a comparison with a correction, eq. M5 [nat]."""
-    loss_preferences: float
-    """Mean cross-entropy of a ranked pair, eq. M6 [nat]."""
-    accuracy: float
-    """Share of fresh comparisons that the ensemble's mean decides as the person did, 0 to 1."""
 
 
 def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig, *, version: int, seed: int,
