@@ -13,11 +13,16 @@ def session_files(robot="panda", task="table"):
     return (config_path("robots", robot), config_path("tasks", task), config_path("", "session"))
 
 
-def start_session(start_node, bag=None, **setup):
-    """Start the nodes of a session without a supervisor; gives the processes by name."""
-    table = node_table(SessionSetup(parameter_files=session_files(), bag=bag, **setup))
-    return {spec.executable: start_node(spec.executable, dict(spec.parameters), parameter_files=spec.parameter_files)
-            for spec in table}
+def start_session(start_node, bag=None, changes=None, **setup):
+    """Start the nodes of a session without a supervisor; gives the processes by name.
+
+    changes are parameters by node name that the table does not give.
+    """
+    processes = {}
+    for spec in node_table(SessionSetup(parameter_files=session_files(), bag=bag, **setup)):
+        parameters = {**spec.parameters, **(changes or {}).get(spec.executable, {})}
+        processes[spec.executable] = start_node(spec.executable, parameters, parameter_files=spec.parameter_files)
+    return processes
 
 
 def nodes_left_behind(domain_id):

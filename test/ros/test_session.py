@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.action import ActionClient
 from std_srvs.srv import Trigger
 
@@ -20,6 +21,7 @@ from unifeed_msgs.action import ExecuteTrajectory, OptimizeTrajectory
 from unifeed_msgs.msg import LessonState, TeachingState
 from unifeed_msgs.srv import AnswerQuery, EvaluateReward, ListFeedback, SelectQuery, SetMode, TrainReward, UndoFeedback
 from unifeed_ros.nodes.services import SERVICES
+from unifeed_ros.nodes.sim_teacher import DONE
 from unifeed_ros.nodes.topics import TOPICS, publisher_qos, subscriber_qos
 
 STARTUP_S = 60.0
@@ -250,3 +252,18 @@ def test_the_arm_holds_itself_when_the_controller_dies(session, ros_node, spin_u
     assert np.abs(positions[-1] - before).max() < 0.05
     session.wait_phase(LessonState.FAULT, 30.0)
     assert "shared_control" in session.lesson.message
+
+
+def test_a_person_with_nothing_to_correct_goes_on(start_node, ros_node, spin_until):
+    """A push that capture does not take for one changes nothing, as that of a person who likes the motion."""
+    deaf = {"contact.on_delay": 1000.0}
+    start_session(start_node, taught_by="CC", changes={
+        "capture": deaf, "shared_control": deaf, "sim_teacher": {"teacher.attempts": 1}})
+    values = {}
+
+    def listen(msg):
+        values.update({v.key: v.value for s in msg.status if s.name.endswith("sim_teacher") for v in s.values})
+
+    ros_node.create_subscription(DiagnosticArray, "/diagnostics", listen, publisher_qos("diagnostics"))
+    spin_until(lambda: "outcome" in values, STARTUP_S + 60.0)
+    assert values == {"outcome": DONE, "passed": "2"}

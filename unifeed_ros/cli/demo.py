@@ -16,6 +16,7 @@ from unifeed_ros.cli.report import KINDS, build_report, describe, save_report
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
 from unifeed_ros.nodes.conversions import trajectory_from_msg
+from unifeed_ros.nodes.sim_teacher import DONE, GAVE_UP
 from unifeed_ros.nodes.table import SessionSetup, node_table
 from unifeed_ros.simulation.tasks import TrueTask, Yardstick, measure
 
@@ -97,9 +98,22 @@ class _Lesson:
                 sound = time.monotonic()
             elif time.monotonic() - sound > FAULT_S:
                 return False, lesson.message
-            if lesson.phase == LessonState.READY and len(self._monitor.interactions) >= len(self._letters):
-                return True, "every interaction was completed"
+            if lesson.phase == LessonState.READY and (end := self._end()) is not None:
+                return end
         return False, f"the lesson did not end within {timeout:.0f} s; it was {self._said or 'starting'}"
+
+    def _end(self) -> tuple[bool, str] | None:
+        """Say whether the person has ended, and how; None while they go on."""
+        count, wanted = len(self._monitor.interactions), len(self._letters)
+        if count >= wanted:
+            return True, "every interaction was completed"
+        outcome = self._monitor.value("sim_teacher", "outcome")
+        if outcome == GAVE_UP:
+            return False, f"the simulated person {self._monitor.diagnostics['sim_teacher'].message}"
+        passed = int(self._monitor.value("sim_teacher", "passed") or 0)
+        if outcome == DONE and count + passed >= wanted:
+            return True, f"{count} interactions were completed; in {passed} the person had nothing to correct"
+        return None
 
     def _print_news(self) -> None:
         for interaction in self._monitor.interactions[self._printed:]:

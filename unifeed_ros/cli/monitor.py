@@ -81,13 +81,14 @@ class SessionMonitor:
         future = self._stop.call_async(Trigger.Request())
         return self.spin(1.0, future.done)
 
+    def value(self, node: str, key: str) -> str:
+        """Give one value that a node publishes on /diagnostics; empty where there is none yet."""
+        status = self.diagnostics.get(node)
+        return next((pair.value for pair in status.values if pair.key == key), "") if status else ""
+
     def figure(self, node: str, key: str) -> float:
         """Give one figure that a node publishes on /diagnostics; nan where there is none yet."""
-        status = self.diagnostics.get(node)
-        for pair in status.values if status else ():
-            if pair.key == key:
-                return float(pair.value)
-        return float("nan")
+        return float(self.value(node, key) or "nan")
 
     def _on_lesson(self, msg: LessonState) -> None:
         self.lesson = msg

@@ -35,7 +35,8 @@ class TeacherConfig:
     seed: int = 0
     """Seed of this person."""
     attempts: int = 3
-    """Tries at an input that did not come through (a push that changed nothing), before the person gives up."""
+    """Tries at an input that did not come through. A correction that changed nothing so often was none, and the
+    person goes on; otherwise they give up."""
     resets: int = 2
     """Times that the person presses reset after a fault, before they give up."""
     patience: float = 2.0
@@ -58,6 +59,8 @@ class _Step(Enum):
     DONE = auto()
 
 
+DONE, GAVE_UP = "done", "gave up"
+"""How teaching ended, as the value "outcome" of the node's status."""
 HAND_PERIOD = 0.0015
 """Simulated time that passes at least between two answers of the hand: every second state at 1 kHz [s]."""
 BUTTONS = {"D": "start_demonstration", "C": "run", "P": "ask"}
@@ -78,7 +81,7 @@ class SimTeacherNode(UnifeedNode):
         self._teaching = TeachingState()
         self._motion, self._watched, self._tracked = JointTrajectory(), "", False
         self._query: PreferenceQuery | None = None
-        self._step, self._tries, self._done_before = _Step.WAIT, 0, 0
+        self._step, self._tries, self._done_before, self._passed = _Step.WAIT, 0, 0, 0
         self._answer: Future | None = None
         self._resets_left = self._config.resets
         self._fault_seen: float | None = None
@@ -186,13 +189,16 @@ class SimTeacherNode(UnifeedNode):
             return
         if self._lesson.interactions > self._done_before:
             self._done_before, self._tries = self._lesson.interactions, 0
-        if self._done_before >= len(self._config.feedback):
+        if self._tries >= self._config.attempts and self._letter == "C":
+            self._passed, self._tries = self._passed + 1, 0
+            self.say(OK, f"has nothing to correct, and goes on: {self._lesson.message}")
+        if self._done_before + self._passed >= len(self._config.feedback):
             self._step = _Step.DONE
-            self.say(OK, "has shown everything")
+            self.say(OK, "has shown everything", outcome=DONE, passed=self._passed)
             return
         if self._tries >= self._config.attempts:
             self._step = _Step.DONE
-            self.say(WARN, f"gives up after {self._tries} tries: {self._lesson.message}")
+            self.say(WARN, f"gives up after {self._tries} tries: {self._lesson.message}", outcome=GAVE_UP)
             return
         self._tries += 1
         self._answer = self._buttons[BUTTONS[self._letter]].call_async(Trigger.Request())
@@ -201,7 +207,7 @@ class SimTeacherNode(UnifeedNode):
 
     @property
     def _letter(self) -> str:
-        return self._config.feedback[self._done_before]
+        return self._config.feedback[self._done_before + self._passed]
 
     def _press(self) -> None:
         """Wait for the button's answer, then begin."""

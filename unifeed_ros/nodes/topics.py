@@ -9,7 +9,9 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 SENSOR, EVENT, LATCHED, STREAM = "sensor", "event", "latched", "stream"
 """Names of the qualities of service: fast states, things that must all arrive, newest value kept, the rest."""
 
-PUBLISHER_DEPTH = {SENSOR: 1000, EVENT: 100, LATCHED: 1, STREAM: 50}
+PUBLISHER_DEPTH = {SENSOR: 1000, EVENT: 100, LATCHED: 10, STREAM: 500}
+"""Messages kept for a reliable reader that is late; more than a second of each, or a busy recorder loses some."""
+SUBSCRIBER_DEPTH = {SENSOR: 10, EVENT: 100, LATCHED: 1, STREAM: 50}
 RECORDER_DEPTH = {SENSOR: 5000, EVENT: 1000, LATCHED: 100, STREAM: 1000}
 
 
@@ -133,16 +135,14 @@ def subscriber_qos(topic: Topic | str, depth: int | None = None) -> QoSProfile:
 
     Args:
         topic: Topic of the table, or its name.
-        depth: Messages kept until the node takes them; 10 for fast states and the publisher's depth for the rest by
-            default. A node that must see every sample asks for more.
+        depth: Messages kept until the node takes them; by default those of SUBSCRIBER_DEPTH. A node that must see every
+            sample asks for more.
 
     Returns:
         The profile.
     """
     topic = find_topic(topic) if isinstance(topic, str) else topic
-    if topic.qos == SENSOR:
-        return _profile(depth or 10, latched=False, reliable=False)
-    return _profile(depth or PUBLISHER_DEPTH[topic.qos], latched=topic.latched)
+    return _profile(depth or SUBSCRIBER_DEPTH[topic.qos], latched=topic.latched, reliable=topic.qos != SENSOR)
 
 
 def recorder_qos(topic: Topic | str) -> QoSProfile:
