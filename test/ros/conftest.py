@@ -70,7 +70,7 @@ class Process:
         with log.open("wb") as stream:
             self._process = subprocess.Popen(
                 [str(a) for a in arguments], env=environment, stdout=stream, stderr=subprocess.STDOUT,
-                stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=_end_with_parent)
+                stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=_prepare_process)
 
     @property
     def pid(self):
@@ -201,7 +201,8 @@ def wait_until(condition, timeout, explain=lambda: ""):
         time.sleep(0.02)
 
 
-def _end_with_parent():
-    """Let the kernel end this process when the test run dies (Linux)."""
+def _prepare_process():
+    """Let the kernel end this process when the test run dies (Linux), and let Ctrl-C reach it."""
     set_parent_death_signal = 1
     ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a test run in the background of a shell ignores it
