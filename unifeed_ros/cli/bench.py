@@ -17,7 +17,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
     added = {}
     for name, text in (("reward", "training beside the paper's procedure, with the quality of both"),
                        ("planner", "plans beside SciPy's SLSQP on the very same problems"),
-                       ("lesson", "whole demos: Panda seeds 0-9 and UR10 seeds 0-4"),
+                       ("lesson", "whole lessons, and how far the last motion is from the best"),
                        ("all", "all of them, each with its defaults")):
         added[name] = names.add_parser(name, help=text, description=text)
         added[name].add_argument("--json", action="store_true", help="print JSON")
@@ -54,7 +54,10 @@ def _add_planner_options(parser: argparse.ArgumentParser) -> None:
 
 def _add_lesson_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robot", action="append", help="only this robot (may be repeated; default: panda, ur10)")
-    parser.add_argument("--task", default="table", help="task of every lesson (default: table)")
+    parser.add_argument("--task", action="append", help="task (may be repeated; default: table)")
+    parser.add_argument("--feedback", type=str.upper, default="DDCCPP", help="inputs of a lesson (default: DDCCPP)")
+    parser.add_argument("--jobs", type=int, default=1, help="lessons at once (default: 1); the nodes of each need "
+                        "two cores")
     parser.add_argument("--seeds", type=int, help="number of seeds a robot (default: 10 for panda, 5 for ur10)")
     parser.add_argument("--in-process", action="store_true",
                         help="without ROS, in one process, many times faster than real time; the same core code")

@@ -8,30 +8,45 @@ import os
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
+from multiprocessing import get_context
+from multiprocessing.queues import Queue
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder
+from unifeed_ros.cli.arguments import UserMistake, prepare_folder
 from unifeed_ros.core.errors import UnifeedError
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
 from unifeed_ros.resources import config_path
 from unifeed_ros.simulation.lesson import run_lesson
+from unifeed_ros.simulation.tasks import TASKS
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the lessons one after the other, print the table and keep it in a file; 0 only if all were completed."""
+    """Run the lessons, print the table and keep it in a file; 0 only if all were completed."""
     out = prepare_folder(options.out or Path("out") / time.strftime("bench-%Y%m%d-%H%M%S"))
     lessons = _chosen(options)
-    rows = []
-    for k, (robot, task, seed) in enumerate(lessons):
-        rows.append(_in_process(robot, task, seed) if options.in_process
-                    else _run_lesson(robot, task, seed, out, options.speed))
-        print(f"{k + 1}/{len(lessons)} {_line(rows[-1])}", file=sys.stderr, flush=True)
-    table = {"machine": {"cpus": os.cpu_count(), "load": os.getloadavg()[0], "speed": options.speed}, "lessons": rows,
-             "summary": [_summary(rows, robot) for robot in dict.fromkeys(row["robot"] for row in rows)]}
+    rows: list[dict[str, Any]] = []
+    spawn = get_context("spawn")
+    domains: Queue[int] = spawn.Queue()
+    for job in range(options.jobs):
+        domains.put(int(os.environ.get("ROS_DOMAIN_ID", "71")) + job)
+    with ProcessPoolExecutor(options.jobs, spawn, _take_domain, (domains,)) as pool:
+        work = partial(_in_process, options.feedback) if options.in_process else partial(
+            _through_nodes, options.feedback, options.speed, out)
+        for done in as_completed([pool.submit(work, *lesson) for lesson in lessons]):
+            rows.append(done.result())
+            print(f"{len(rows)}/{len(lessons)} {_line(rows[-1])}", file=sys.stderr, flush=True)
+    rows.sort(key=lambda row: lessons.index((row["robot"], row["task"], row["seed"])))
+    table = {"machine": {"cpus": os.cpu_count(), "load": os.getloadavg()[0], "speed": options.speed,
+                         "jobs": options.jobs},
+             "feedback": options.feedback, "lessons": rows,
+             "summary": [_summary([row for row in rows if (row["robot"], row["task"]) == kind])
+                         for kind in dict.fromkeys((row["robot"], row["task"]) for row in rows)]}
     (out / "lessons.json").write_text(json.dumps(table, indent=2) + "\n")
     print(json.dumps(table, indent=2) if options.json else markdown(table))
     return 0 if all(row["ok"] for row in rows) else 1
@@ -52,21 +67,32 @@ def markdown(table: dict[str, Any]) -> str:
 
 
 def _chosen(options: argparse.Namespace) -> list[tuple[str, str, int]]:
-    robots = options.robot or ["panda", "ur10"]
+    robots, tasks = options.robot or ["panda", "ur10"], options.task or ["table"]
     counts = {"panda": 10, "ur10": 5}
     if unknown := sorted(set(robots) - set(counts)):
         raise UserMistake("unknown robot", expected="panda or ur10", got=", ".join(unknown))
-    return [(r, options.task, seed) for r in robots for seed in range(options.seeds or counts[r])]
+    if unknown := sorted(set(tasks) - set(TASKS)):
+        raise UserMistake("unknown task", expected=", ".join(TASKS), got=", ".join(unknown))
+    if options.jobs < 1:
+        raise UserMistake("--jobs", expected="1 or more", got=options.jobs)
+    if not options.feedback or set(options.feedback) - set("DCP"):
+        raise UserMistake("--feedback", expected="letters D, C and P, for example DDCCPP", got=options.feedback)
+    return [(r, t, seed) for r in robots for t in tasks for seed in range(options.seeds or counts[r])]
 
 
-def _run_lesson(robot: str, task: str, seed: int, out: Path, speed: float) -> dict[str, Any]:
-    """Run one demo in a process of its own, on a domain of its own, and read its report."""
+def _take_domain(domains: Queue[int]) -> None:
+    """Keep the lessons of this process apart from those of the others."""
+    os.environ["ROS_DOMAIN_ID"] = str(domains.get())
+
+
+def _through_nodes(feedback: str, speed: float, out: Path, robot: str, task: str, seed: int) -> dict[str, Any]:
+    """Run one demo as a user would, and read its report."""
     folder = out / f"{robot}-{task}-{seed}"
-    environment = dict(os.environ, ROS_DOMAIN_ID=os.environ.get("ROS_DOMAIN_ID", "71"))
     began = time.monotonic()
     done = subprocess.run(
         [sys.executable, "-m", "unifeed_ros.cli.main", "demo", "--robot", robot, "--task", task, "--seed", str(seed),
-         "--speed", str(speed), "--out", str(folder)], env=environment, capture_output=True, text=True, check=False)
+         "--feedback", feedback, "--speed", str(speed), "--timeout", str(150.0 * len(feedback) / speed),
+         "--out", str(folder)], capture_output=True, text=True, check=False)
     row: dict[str, Any] = {"robot": robot, "task": task, "seed": seed, "ok": done.returncode == 0,
                            "seconds": time.monotonic() - began, "first": np.nan, "final": np.nan, "message": ""}
     report = folder / "report.json"
@@ -75,24 +101,20 @@ def _run_lesson(robot: str, task: str, seed: int, out: Path, speed: float) -> di
         regrets = [i["normalised_regret"] for i in figures["interactions"]]
         if regrets:
             row.update(first=regrets[0], final=regrets[-1], regrets=regrets)
-        row["message"], row["dropped"], row["loop"] = (
-            figures["message"],
-            figures["recording"]["dropped"],
-            figures["loop"],
-        )
+        row |= {"message": figures["message"], "dropped": figures["recording"]["dropped"], "loop": figures["loop"]}
     if not row["ok"]:
-        row["message"] = row["message"] or (done.stderr.strip().splitlines() or [f"on domain {domain()}"])[-1]
+        row["message"] = row["message"] or (done.stderr.strip().splitlines() or ["no output"])[-1]
     return row
 
 
-def _in_process(robot: str, task: str, seed: int) -> dict[str, Any]:
+def _in_process(feedback: str, robot: str, task: str, seed: int) -> dict[str, Any]:
     """Run one lesson without ROS: the nodes' core code, the same simulated arm and person."""
     began = time.monotonic()
     row: dict[str, Any] = {"robot": robot, "task": task, "seed": seed, "ok": False, "first": np.nan, "final": np.nan,
                            "message": ""}
     try:
         result = run_lesson(RobotModel(load_robot(config_path("robots", robot))),
-                            load_scene(config_path("tasks", task)), seed=seed)
+                            load_scene(config_path("tasks", task)), feedback=feedback, seed=seed)
         regrets = [step.normalised_regret for step in result.interactions]
         row.update(ok=True, first=regrets[0], final=regrets[-1], regrets=regrets)
     except UnifeedError as error:
@@ -101,17 +123,22 @@ def _in_process(robot: str, task: str, seed: int) -> dict[str, Any]:
 
 
 def _line(row: dict[str, Any]) -> str:
+    lost = f", {row['dropped']} messages lost" if row.get("dropped") else ""
     return (f"{row['robot']} {row['task']} seed {row['seed']}: {'ok' if row['ok'] else 'FAILED ' + row['message']}, "
-            f"normalised regret {row['first']:.3f} -> {row['final']:.3f}, {row['seconds']:.0f} s")
+            f"normalised regret {row['first']:.3f} -> {row['final']:.3f}, {row['seconds']:.0f} s{lost}")
 
 
-def _summary(rows: list[dict[str, Any]], robot: str) -> dict[str, Any]:
-    chosen = [row for row in rows if row["robot"] == robot]
-    first = np.array([row["first"] for row in chosen], dtype=float)
-    final = np.array([row["final"] for row in chosen], dtype=float)
+def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Put the lessons of one robot and task together; a lesson that failed counts as not learning."""
+    first, final = (np.nan_to_num(np.array([row[when] for row in rows], dtype=float), nan=1.0)
+                    for when in ("first", "final"))
+    length = max(len(row.get("regrets", [])) for row in rows)
+    complete = [row["regrets"] for row in rows if len(row.get("regrets", [])) == length]
     return {
-        "robot": robot, "task": chosen[0]["task"], "lessons": len(chosen), "ok": sum(row["ok"] for row in chosen),
+        "robot": rows[0]["robot"], "task": rows[0]["task"], "lessons": len(rows), "ok": sum(row["ok"] for row in rows),
         "first_median": float(np.median(first)), "final_median": float(np.median(final)),
         "final_p90": float(np.percentile(final, 90)), "final_worst": float(final.max()),
-        "improved": int((final < first).sum()), "seconds_median": float(np.median([row["seconds"] for row in chosen])),
+        "medians": np.median(complete, axis=0).tolist() if length else [],
+        "improved": int((final < first).sum()), "dropped": int(sum(row.get("dropped", 0) for row in rows)),
+        "seconds_median": float(np.median([row["seconds"] for row in rows])),
     }
