@@ -214,6 +214,21 @@ def test_a_node_that_dies_is_named_and_the_arm_stops(session, victim):
     session.spin_until(lambda: session.teaching.mode == TeachingState.STOPPED, 10.0)
 
 
+def test_who_died_is_still_told_when_the_motion_has_been_stopped(start_node, ros_node, spin_until, call):
+    """The motion that is stopped because of the death fails too, and must not be told in its place."""
+    changes = {"session": {"session.node_timeout": 2.0}}  # noticed before the motion of 3 s ends
+    session = Session(ros_node, start_session(start_node, changes=changes), spin_until)
+    session.wait_phase(LessonState.READY, STARTUP_S)
+    assert call(Trigger, "run").success
+    session.spin_until(lambda: session.teaching.mode == TeachingState.TRACK, 20.0)
+    session.processes["reward_learner"].send(signal.SIGKILL)
+    session.wait_phase(LessonState.FAULT, 30.0)
+    session.spin_until(lambda: session.teaching.mode == TeachingState.STOPPED, 10.0)
+    end = time.monotonic() + 1.0
+    session.spin_until(lambda: time.monotonic() > end, 3.0)
+    assert session.lesson.phase == LessonState.FAULT and "reward_learner died" in session.lesson.message
+
+
 def test_a_controller_that_got_no_processor_does_not_blame_the_driver(session):
     plan, _, _ = session.act(OptimizeTrajectory, "optimize_trajectory", OptimizeTrajectory.Goal())
     pauses = []

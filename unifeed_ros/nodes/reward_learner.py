@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
-import numpy as np
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
 from unifeed_msgs.msg import Feedback, PreferenceQuery, RewardStatus, TaskContext
 from unifeed_msgs.srv import AnswerQuery, EvaluateReward, ListFeedback, SelectQuery, TrainReward, UndoFeedback
-from unifeed_ros.core.errors import ConfigError, InputError, UnifeedError
+from unifeed_ros.core.errors import InputError, UnifeedError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
 from unifeed_ros.core.reward.config import TrainingConfig, TrainingResult
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
-from unifeed_ros.core.reward.queries import random_query, select_query, with_variations
+from unifeed_ros.core.reward.queries import QueryConfig
 from unifeed_ros.core.types import Context, Trajectory
 from unifeed_ros.nodes.conversions import (
     context_from_msg,
@@ -35,35 +32,10 @@ from unifeed_ros.nodes.conversions import (
 from unifeed_ros.nodes.node import ERROR, OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
-from unifeed_ros.nodes.training_worker import TrainingWorker
+from unifeed_ros.nodes.training_worker import ChosenQuery, TrainingWorker
 
 MESSAGE_KINDS = {"demonstration": Feedback.DEMONSTRATION, "correction": Feedback.CORRECTION,
                  "preference": Feedback.PREFERENCE}
-
-
-@dataclass(frozen=True, kw_only=True)
-class QueryConfig:
-    """How questions are chosen."""
-
-    seed: int = 0
-    """Seed of training and of the variations."""
-    active: bool = True
-    """True: the most informative question (paper eq. M7); false: a random one."""
-    options: int = 2
-    """Motions that a question compares."""
-    candidates: int = 1000
-    """Motions that a question is chosen from: those that are there, and variations of them."""
-    variation_size: float = 0.10
-    """Size of the variations at the tool [m]."""
-
-    def __post_init__(self) -> None:
-        """Reject values that would only fail when a question is asked."""
-        if self.options < 2:
-            raise ConfigError("options", expected="at least 2", got=self.options)
-        if self.candidates < self.options:
-            raise ConfigError("candidates", expected=f"at least {self.options}", got=self.candidates)
-        if not 0.0 < self.variation_size < 10.0:
-            raise ConfigError("variation_size", expected="above 0 and below 10", got=self.variation_size)
 
 
 class RewardLearnerNode(UnifeedNode):
@@ -77,7 +49,6 @@ class RewardLearnerNode(UnifeedNode):
         self._task_context = self.load_scene().context()
         self._training = settings(self, "training", TrainingConfig)
         self._questions = settings(self, "query", QueryConfig)
-        self._rng = np.random.default_rng(self._questions.seed)
         self._dataset = FeedbackDataset(self._robot.config.name, self._robot.joint_names)
         self._model: RewardEnsemble | None = None
         self._version = 0
@@ -96,10 +67,10 @@ class RewardLearnerNode(UnifeedNode):
         self._statuses = self.advertise("reward_status")
         self._feedback = self.advertise("feedback")
         self.listen("feedback", self._on_feedback)
-        # a group of its own: while the coroutine waits, its group runs nothing else
+        # groups of their own: while a coroutine waits, its group runs nothing else
         self.create_service(TrainReward, "train_reward", self._on_train, callback_group=ReentrantCallbackGroup())
         self.create_service(EvaluateReward, "evaluate_reward", self._answering(self._evaluate))
-        self.create_service(SelectQuery, "select_query", self._answering(self._select))
+        self.create_service(SelectQuery, "select_query", self._on_select, callback_group=ReentrantCallbackGroup())
         self.create_service(AnswerQuery, "answer_query", self._answering(self._answer))
         self.create_service(UndoFeedback, "undo_feedback", self._answering(self._undo))
         self.create_service(ListFeedback, "list_feedback", self._answering(self._list))
@@ -173,6 +144,33 @@ class RewardLearnerNode(UnifeedNode):
         )
         self.say(OK, response.message)
 
+    # Questions.
+
+    async def _on_select(self, request: SelectQuery.Request, response: SelectQuery.Response) -> SelectQuery.Response:
+        try:
+            model, context = self._require_model(), self._context_of(request.context)
+            given = [trajectory_from_msg(c, self._robot.joint_names) for c in request.candidates]
+            given = given or self._past_motions()
+            if not given:
+                raise InputError("no motions to compare", mend="teach a demonstration, or give candidates")
+            self._queries_asked += 1
+            number = self._queries_asked
+            done: Future = Future(executor=self.executor)
+            self._worker.choose(done, model, given, self._robot, context, self._questions, self._training, number)
+            self._query = response.query = self._query_message(await done, number, request.context)
+            response.success, response.message = True, self._query.message
+        except UnifeedError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _query_message(self, chosen: ChosenQuery, number: int, context: TaskContext) -> PreferenceQuery:
+        message = (f"of {chosen.candidates} motions, the networks disagree most about these" if self._questions.active
+                   else f"drawn at random from {chosen.candidates} motions")
+        return PreferenceQuery(
+            header=header(self._time, self._robot.config.base_frame), id=f"query-{number}",
+            context=context_to_msg(self._context_of(context)), options=[trajectory_to_msg(o) for o in chosen.options],
+            information=float(chosen.information), message=f"{message}: {chosen.information:.2f} bit expected")
+
     # Other services.
 
     def _evaluate(self, request: EvaluateReward.Request, response: EvaluateReward.Response) -> str:
@@ -186,28 +184,6 @@ class RewardLearnerNode(UnifeedNode):
         response.disagreement = list(map(float, rewards.std(axis=0)))
         response.total = float(summed.mean(axis=0).sum())
         return f"return {response.total:.2f} of at most {self._training.waypoints}"
-
-    def _select(self, request: SelectQuery.Request, response: SelectQuery.Response) -> str:
-        model = self._require_model()
-        context = self._context_of(request.context)
-        given = [trajectory_from_msg(c, self._robot.joint_names) for c in request.candidates] or self._past_motions()
-        if not given:
-            raise InputError("no motions to compare", mend="teach a demonstration, or give candidates")
-        settings, training = self._questions, self._training
-        candidates = with_variations(self._robot, given, settings.variation_size, settings.candidates, self._rng)
-        choose = select_query if settings.active else partial(random_query, rng=self._rng)
-        query = choose(model, candidates, self._robot, context, waypoints=training.waypoints,
-                       rationality=training.rationality, options=settings.options)
-        message = (f"of {len(candidates)} motions, the networks disagree most about these" if settings.active
-                   else f"drawn at random from {len(candidates)} motions")
-        self._queries_asked += 1
-        frame = self._robot.config.base_frame
-        self._query = PreferenceQuery(
-            header=header(self._time, frame), id=f"query-{self._queries_asked}", context=context_to_msg(context),
-            options=[trajectory_to_msg(candidates[i]) for i in query.indices], information=float(query.information),
-            message=f"{message}: {query.information:.2f} bit expected")
-        response.query = self._query
-        return self._query.message
 
     def _answer(self, request: AnswerQuery.Request, response: AnswerQuery.Response) -> str:
         if self._query is None or (request.query_id and request.query_id != self._query.id):

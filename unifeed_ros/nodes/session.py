@@ -121,11 +121,10 @@ class SessionNode(UnifeedNode):
             self._seen[status.name.removeprefix(DIAGNOSTICS_PREFIX)] = time.monotonic()
 
     def _tick(self) -> None:
-        dead = self._dead_nodes() if self._phase not in (LessonState.WAITING, LessonState.FAULT) else []
-        if dead:
-            self._fault(
-                f"{', '.join(dead)} died: the arm is stopped, what was taught is kept; start it again, then reset"
-            )
+        dead = self._dead_nodes() if self._phase != LessonState.WAITING else []
+        told = f"{', '.join(dead)} died: the arm is stopped, what was taught is kept; start it again, then reset"
+        if dead and self._message != told:  # also after another fault, which may have come of the death
+            self._fault(told)
             self._stop.call_async(Trigger.Request())
             self._cancel()
         self._publish_state()
@@ -204,9 +203,11 @@ class SessionNode(UnifeedNode):
                 finally:
                     self._end_return()
             except Interrupted:
-                self._enter(LessonState.PAUSED, "paused: run or reset goes on")
+                if self._phase != LessonState.FAULT:
+                    self._enter(LessonState.PAUSED, "paused: run or reset goes on")
             except UnifeedError as error:
-                self._fault(str(error))
+                if self._phase != LessonState.FAULT:  # else the step ended because of a fault that was told already
+                    self._fault(str(error))
 
     def _prepare(self) -> None:
         """Wait for the nodes and for the arm's state, then move to the start."""
@@ -397,6 +398,9 @@ class SessionNode(UnifeedNode):
         self._enter(LessonState.READY, message)
 
     def _enter(self, phase: int, message: str) -> None:
+        """Go on to a phase; a fault is only left by a reset, whatever a step was about to do."""
+        if self._phase == LessonState.FAULT and phase != LessonState.WAITING:
+            raise LessonError(self._message, mend="reset goes on")
         self._phase, self._message = phase, message
         self.say(OK, message, taught="".join(self._taught))
         self._publish_state()

@@ -1,4 +1,4 @@
-"""Trains in a process of its own: a thread would keep the interpreter busy, and the node could not answer.
+"""Trains and chooses questions in a process of its own: a thread would keep the node from answering.
 
 Only that process loads torch, which takes seconds; the node answers before.
 """
@@ -8,17 +8,24 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future as PoolFuture
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
 from multiprocessing.sharedctypes import Synchronized
 from typing import Any
 
+import numpy as np
 from rclpy.task import Future
 
 from unifeed_ros.core.errors import TrainingError, UnifeedError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.reward.config import TrainingConfig, TrainingResult
+from unifeed_ros.core.reward.ensemble import RewardEnsemble
+from unifeed_ros.core.reward.queries import QueryConfig, random_query, select_query, with_variations
 from unifeed_ros.core.robot import RobotConfig, RobotModel
+from unifeed_ros.core.types import Context, Trajectory
 from unifeed_ros.nodes.parent_death import end_with_parent
 
 NICENESS = 10
@@ -27,8 +34,20 @@ NICENESS = 10
 _progress: Synchronized[float] | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class ChosenQuery:
+    """A question and what it was chosen from."""
+
+    options: tuple[Trajectory, ...]
+    """Motions to compare."""
+    information: float
+    """Expected information of the answer [bit]."""
+    candidates: int
+    """Number of motions that it was chosen from."""
+
+
 class TrainingWorker:
-    """One process that trains, started at once so that the first training does not wait for it."""
+    """One process that learns, started at once so that the first training does not wait for it."""
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
@@ -53,8 +72,27 @@ class TrainingWorker:
             **arguments: The rest of train_reward's arguments.
         """
         self._shared.value = 0.0
+        self._start(done, _train, dataset, robot.config, config, arguments)
+
+    def choose(self, done: Future, ensemble: RewardEnsemble, given: Sequence[Trajectory], robot: RobotModel,
+               context: Context, config: QueryConfig, training: TrainingConfig, number: int) -> None:
+        """Start to choose a question; it waits for a training that is under way.
+
+        Args:
+            done: Gets the ChosenQuery, or a UnifeedError.
+            ensemble: Learned reward.
+            given: Motions to choose from and to vary.
+            robot: The arm.
+            context: Goal and objects.
+            config: How the question is chosen.
+            training: How returns are compared.
+            number: Number of the question, a part of its seed.
+        """
+        self._start(done, _choose, ensemble, given, robot.config, context, config, training, number)
+
+    def _start(self, done: Future, work: Callable[..., Any], *arguments: Any) -> None:
         try:
-            started = self._pool.submit(_train, dataset, robot.config, config, arguments)
+            started = self._pool.submit(work, *arguments)
         except RuntimeError as error:
             done.set_exception(TrainingError("the training process ended", got=str(error), mend="start the node again"))
             return
@@ -67,14 +105,14 @@ class TrainingWorker:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _hand_over(finished: PoolFuture[TrainingResult], done: Future) -> None:
+def _hand_over(finished: PoolFuture[Any], done: Future) -> None:
     error = finished.exception() if not finished.cancelled() else TrainingError("the training was canceled")
     if error is None:
         done.set_result(finished.result())
     elif isinstance(error, UnifeedError):
         done.set_exception(error)
     else:
-        done.set_exception(TrainingError("the training failed", got=repr(error), mend="see the log"))
+        done.set_exception(TrainingError("the training process failed", got=repr(error), mend="see the log"))
 
 
 def _prepare(progress: Synchronized[float]) -> None:
@@ -104,6 +142,17 @@ def _train(
     from unifeed_ros.core.reward.training import train_reward
 
     return train_reward(dataset, RobotModel(robot), config, on_progress=_set_progress, **arguments)
+
+
+def _choose(ensemble: RewardEnsemble, given: Sequence[Trajectory], robot: RobotConfig, context: Context,
+            config: QueryConfig, training: TrainingConfig, number: int) -> ChosenQuery:
+    arm, rng = RobotModel(robot), np.random.default_rng([config.seed, number])
+    candidates = with_variations(arm, given, config.variation_size, config.candidates, rng)
+    choose = select_query if config.active else partial(random_query, rng=rng)
+    query = choose(ensemble, candidates, arm, context, waypoints=training.waypoints, rationality=training.rationality,
+                   options=config.options)
+    return ChosenQuery(options=tuple(candidates[k] for k in query.indices), information=query.information,
+                       candidates=len(candidates))
 
 
 def _set_progress(progress: float) -> None:

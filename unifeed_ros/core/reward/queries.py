@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unifeed_ros.core.errors import InputError, ShapeError
+from unifeed_ros.core.errors import ConfigError, InputError, ShapeError
 from unifeed_ros.core.feedback.deformation import sample_deformations
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.robot import RobotModel
@@ -16,6 +16,31 @@ from unifeed_ros.core.types import Array, Context, Trajectory
 
 _BLOCK = 20
 """Candidates whose pairs with all others are weighed at once; their arrays then stay in the processor's cache."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class QueryConfig:
+    """How questions are chosen."""
+
+    seed: int = 0
+    """Seed of training and of the variations."""
+    active: bool = True
+    """True: the most informative question (paper eq. M7); false: a random one."""
+    options: int = 2
+    """Motions that a question compares."""
+    candidates: int = 1000
+    """Motions that a question is chosen from: those that are there, and variations of them."""
+    variation_size: float = 0.10
+    """Size of the variations at the tool [m]."""
+
+    def __post_init__(self) -> None:
+        """Reject values that would only fail when a question is asked."""
+        if self.options < 2:
+            raise ConfigError("options", expected="at least 2", got=self.options)
+        if self.candidates < self.options:
+            raise ConfigError("candidates", expected=f"at least {self.options}", got=self.candidates)
+        if not 0.0 < self.variation_size < 10.0:
+            raise ConfigError("variation_size", expected="above 0 and below 10", got=self.variation_size)
 
 
 @dataclass(frozen=True, kw_only=True)
