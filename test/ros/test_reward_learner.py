@@ -1,0 +1,49 @@
+"""The learner's node alone: it learns and chooses questions, and answers meanwhile."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+from session_helpers import session_files
+
+from unifeed_msgs.msg import Feedback, RewardStatus
+from unifeed_msgs.srv import ListFeedback, SelectQuery, TrainReward
+from unifeed_ros.core.feedback.items import Demonstration
+from unifeed_ros.core.robot import RobotModel, load_robot
+from unifeed_ros.core.scene import load_scene
+from unifeed_ros.nodes.conversions import feedback_to_msg
+from unifeed_ros.nodes.topics import publisher_qos, subscriber_qos
+from unifeed_ros.simulation.tasks import straight_line
+
+
+def demonstration(files):
+    robot, scene = RobotModel(load_robot(files[0])), load_scene(files[1])
+    item = Demonstration(id="demo-1", robot=robot.config.name, context=scene.context(),
+                         trajectory=straight_line(robot, scene, 60))
+    return feedback_to_msg(item, 1.0, robot.config.base_frame)
+
+
+def test_questions_are_chosen_while_the_node_answers(start_node, ros_node, spin_until, call):
+    start_node("reward_learner", {"query.candidates": 3000, "training.steps": 20}, parameter_files=session_files())
+    statuses = []
+    ros_node.create_subscription(RewardStatus, "reward_status", statuses.append, subscriber_qos("reward_status"))
+    feedback = ros_node.create_publisher(Feedback, "feedback", publisher_qos("feedback"))
+    spin_until(lambda: feedback.get_subscription_count() > 0, 60.0)
+    feedback.publish(demonstration(session_files()))
+    spin_until(lambda: statuses and statuses[-1].demonstrations == 1, 30.0)
+    assert call(TrainReward, "train_reward").success
+
+    order = []
+    futures = []
+    for kind, name in ((SelectQuery, "select_query"), (ListFeedback, "list_feedback")):
+        client = ros_node.create_client(kind, name)
+        spin_until(client.service_is_ready, 30.0)
+        futures.append(client.call_async(kind.Request()))
+        futures[-1].add_done_callback(lambda _, name=name: order.append(name))
+    spin_until(lambda: len(order) == 2, 120.0)
+    assert order == ["list_feedback", "select_query"]
+    query = futures[0].result()
+    assert query.success and len(query.query.options) == 2 and "3000 motions" in query.message, query.message
+    assert 0.0 < query.query.information <= 1.0
