@@ -216,8 +216,8 @@ def test_a_node_that_dies_is_named_and_the_arm_stops(session, victim):
 
 def test_who_died_is_still_told_when_the_motion_has_been_stopped(start_node, ros_node, spin_until, call):
     """The motion that is stopped because of the death fails too, and must not be told in its place."""
-    changes = {"session": {"session.node_timeout": 2.0}}  # noticed before the motion of 3 s ends
-    session = Session(ros_node, start_session(start_node, changes=changes), spin_until)
+    changes = {"session": {"session.node_timeout": 3.0}}  # at half the speed, noticed before the motion of 6 s ends
+    session = Session(ros_node, start_session(start_node, changes=changes, speed=0.5), spin_until)
     session.wait_phase(LessonState.READY, STARTUP_S)
     assert call(Trigger, "run").success
     session.spin_until(lambda: session.teaching.mode == TeachingState.TRACK, 20.0)
