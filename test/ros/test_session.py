@@ -220,9 +220,9 @@ def test_who_died_is_still_told_when_the_motion_has_been_stopped(start_node, ros
     session = Session(ros_node, start_session(start_node, changes=changes, speed=0.5), spin_until)
     session.wait_phase(LessonState.READY, STARTUP_S)
     assert call(Trigger, "run").success
-    session.spin_until(lambda: session.teaching.mode == TeachingState.TRACK, 20.0)
+    session.spin_until(lambda: session.teaching.mode == TeachingState.TRACK, 20.0, lambda: session.lesson.message)
     session.processes["reward_learner"].send(signal.SIGKILL)
-    session.wait_phase(LessonState.FAULT, 30.0)
+    session.spin_until(lambda: "reward_learner died" in session.lesson.message, 30.0, lambda: session.lesson.message)
     session.spin_until(lambda: session.teaching.mode == TeachingState.STOPPED, 10.0)
     end = time.monotonic() + 1.0
     session.spin_until(lambda: time.monotonic() > end, 3.0)
