@@ -29,6 +29,10 @@ class HandConfig:
     """Spring that turns the tool's axis [Nm/rad]."""
     turning_damping: float = 1.5
     """Damper against turning [Nm s/rad]."""
+    turning_push: float = 60.0
+    """How fast the hand adds torque while the tool stays tilted: friction would hold it at 5 degrees [Nm/(rad s)]."""
+    largest_turning_push: float = 3.0
+    """Most torque that the hand adds that way [Nm]."""
     largest_torque: float = 5.0
     """Torque that the hand never exceeds [Nm]."""
     smoothing: float = 0.02
@@ -51,8 +55,9 @@ class Hand:
         self.take()
 
     def take(self) -> None:
-        """Take the tool anew: forget the added force and the felt speed."""
+        """Take the tool anew: forget the added force and torque and the felt speed."""
         self._added = np.zeros(3)
+        self._added_torque = np.zeros(3)
         self._felt: Array | None = None
         self._time: float | None = None
 
@@ -85,7 +90,11 @@ class Hand:
         force = config.stiffness * error + self._added + config.damping * (velocity - self._felt[:3])
         torque = np.zeros(3)
         if axis is not None:
-            torque = config.turning_stiffness * np.cross(rotation[:, 2], axis) - config.turning_damping * self._felt[3:]
+            tilted = np.cross(rotation[:, 2], axis)
+            self._added_torque = _limited(self._added_torque + grip * config.turning_push * tilted * dt,
+                                          config.largest_turning_push)
+            torque = (config.turning_stiffness * tilted + self._added_torque
+                      - config.turning_damping * self._felt[3:])
         return grip * np.concatenate([_limited(force, config.largest_force), _limited(torque, config.largest_torque)])
 
 

@@ -31,6 +31,9 @@ class PersonConfig:
     resistance to the hand adds as much again."""
     goal_deviation: float = 0.005
     """Standard deviation of where a demonstration ends, in each direction [m]."""
+    axis_deviation: float = 0.015
+    """Standard deviation of the smooth error in the tool's direction, in each of the lowest modes: a degree, what
+    people see of a tilt [rad]."""
     lowest: float = 0.03
     """Height above the table below which the person never brings the tool [m]."""
     pace: float = 1.15
@@ -70,8 +73,8 @@ class PersonConfig:
         for name in ("pace", "ramp", "settling", "correction_span", "patience", "correcting_patience"):
             if not getattr(self, name) > 0:
                 raise ConfigError(f"{name} of the person", expected="> 0", got=getattr(self, name))
-        for name in ("deviation", "correcting_deviation", "goal_deviation", "pace_spread", "corrections", "rationality",
-                     "tie"):
+        for name in ("deviation", "correcting_deviation", "goal_deviation", "axis_deviation", "pace_spread",
+                     "corrections", "rationality", "tie"):
             if not getattr(self, name) >= 0:
                 raise ConfigError(f"{name} of the person", expected=">= 0", got=getattr(self, name))
 
@@ -115,7 +118,8 @@ class SimulatedPerson:
         here = self._yardstick.robot.tool_states(np.asarray(q, dtype=np.float64)[None])[0]
         wish = wish.slower(pace).deviating(
             smooth_deviation(rng, config.deviation, start=here[:3] - wish.positions[0],
-                             end=rng.normal(scale=config.goal_deviation, size=3)), self._lowest)
+                             end=rng.normal(scale=config.goal_deviation, size=3)),
+            smooth_deviation(rng, config.axis_deviation), self._lowest)
         self._hand = self._guiding
         self._hand.take()
         self._act = _Demonstration(wish, config)
@@ -128,7 +132,8 @@ class SimulatedPerson:
         """
         config, robot = self.config, self._yardstick.robot
         wish = wish_along(robot, self._yardstick.optimum, self._yardstick.task.scene.axis).deviating(
-            smooth_deviation(self._rng, config.correcting_deviation), self._lowest)
+            smooth_deviation(self._rng, config.correcting_deviation),
+            smooth_deviation(self._rng, config.axis_deviation), self._lowest)
         spans = worst_spans(self._yardstick, wish, planned, config)
         self._hand = self._correcting
         self._hand.take()

@@ -73,11 +73,12 @@ class Wish:
         """
         return Wish(times=self.times * factor, positions=self.positions, axes=self.axes)
 
-    def deviating(self, deviation: Callable[[Array], Array], lowest: float) -> Wish:
-        """Add a deviation to the positions.
+    def deviating(self, deviation: Callable[[Array], Array], turning: Callable[[Array], Array], lowest: float) -> Wish:
+        """Add a deviation to the positions and one to the axes.
 
         Args:
             deviation: Gives the offsets, shape (N, 3) [m], at shares of the path's length, shape (N,), 0 to 1.
+            turning: Gives what is added to the axes, shape (N, 3) [rad], before they are brought back to unit length.
             lowest: Height that the tool does not go below [m].
 
         Returns:
@@ -85,9 +86,10 @@ class Wish:
         """
         steps = np.linalg.norm(np.diff(self.positions, axis=0), axis=1)
         length = np.concatenate([[0.0], np.cumsum(steps)])
-        positions = self.positions + deviation(length / max(length[-1], 1e-9))
+        shares = length / max(length[-1], 1e-9)
+        positions, axes = self.positions + deviation(shares), self.axes + turning(shares)
         positions[:, 2] = np.maximum(positions[:, 2], lowest)
-        return Wish(times=self.times, positions=positions, axes=self.axes)
+        return Wish(times=self.times, positions=positions, axes=axes / np.linalg.norm(axes, axis=1, keepdims=True))
 
 
 def wish_along(robot: RobotModel, motion: Trajectory, axis: ArrayLike, goal: ArrayLike | None = None) -> Wish:
