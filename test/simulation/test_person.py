@@ -110,9 +110,10 @@ def test_a_robot_that_stands_still_is_let_go(panda, quick_yardstick):
 
 def test_a_good_motion_is_left_alone_unless_a_push_is_asked_for(panda, quick_yardstick):
     wish = wish_along(panda, quick_yardstick.optimum, (0.0, 0.0, -1.0))
-    choosy = PersonConfig(always_correct=False, corrections=2)
+    choosy = PersonConfig(corrections=2)
     assert worst_spans(quick_yardstick, wish, quick_yardstick.optimum, choosy) == []
-    assert len(worst_spans(quick_yardstick, wish, quick_yardstick.optimum, PersonConfig())) == 1
+    assert not SimulatedPerson(quick_yardstick, seed=0).begin_correction(quick_yardstick.optimum)
+    assert len(worst_spans(quick_yardstick, wish, quick_yardstick.optimum, PersonConfig(always_correct=True))) == 1
     spans = worst_spans(quick_yardstick, wish, late_line(panda, quick_yardstick), replace(choosy, correction_span=1.0))
     assert len(spans) == 2
     assert all(first[1] <= second[0] + 1e-9 for first, second in pairwise(spans))

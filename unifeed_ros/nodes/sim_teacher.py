@@ -83,6 +83,7 @@ class SimTeacherNode(UnifeedNode):
         self._query: PreferenceQuery | None = None
         self._step, self._tries, self._done_before, self._passed = _Step.WAIT, 0, 0, 0
         self._answer: Future | None = None
+        self._content = False
         self._resets_left = self._config.resets
         self._fault_seen: float | None = None
         self._pushing, self._felt = False, 0.0
@@ -142,7 +143,8 @@ class SimTeacherNode(UnifeedNode):
         motion_id = self._motion.header.frame_id
         if self._step == _Step.WATCH and motion_id.startswith("run") and motion_id != self._watched:
             self._watched = motion_id
-            self._person.begin_correction(trajectory_from_msg(self._motion, self._robot.joint_names))
+            motion = trajectory_from_msg(self._motion, self._robot.joint_names)
+            self._content = not self._person.begin_correction(motion)
 
     def _hand_is_used(self) -> bool:
         if self._step == _Step.GUIDE:
@@ -188,9 +190,9 @@ class SimTeacherNode(UnifeedNode):
         if self._lesson.phase != LessonState.READY or self._joints is None:
             return
         if self._lesson.interactions > self._done_before:
-            self._done_before, self._tries = self._lesson.interactions, 0
-        if self._tries >= self._config.attempts and self._letter == "C":
-            self._passed, self._tries = self._passed + 1, 0
+            self._done_before, self._tries, self._content = self._lesson.interactions, 0, False
+        if (self._content or self._tries >= self._config.attempts) and self._letter == "C":
+            self._passed, self._tries, self._content = self._passed + 1, 0, False
             self.say(OK, f"has nothing to correct, and goes on: {self._lesson.message}")
         if self._done_before + self._passed >= len(self._config.feedback):
             self._step = _Step.DONE

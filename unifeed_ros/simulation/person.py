@@ -56,8 +56,9 @@ class PersonConfig:
     """Mean shortfall of the true reward over a span that is worth a push [reward]."""
     visible: float = 0.03
     """Distance of the tool from where it is wanted that the person notices [m]."""
-    always_correct: bool = True
-    """True: the worst span gets a push, however good it is; the threshold then decides on further pushes only."""
+    always_correct: bool = False
+    """True: the worst span gets a push, however good it is; the threshold then decides on further pushes only. A push
+    on a motion that is better than the person's own error makes it worse more often than not."""
     rationality: float = 5.0
     """Rationality beta of the Luce choice rule (paper eq. M3) [1/reward]."""
     tie: float = 0.02
@@ -124,11 +125,14 @@ class SimulatedPerson:
         self._hand.take()
         self._act = _Demonstration(wish, config)
 
-    def begin_correction(self, planned: Trajectory) -> None:
+    def begin_correction(self, planned: Trajectory) -> bool:
         """Watch a motion that the robot announced, to push where it falls short.
 
         Args:
             planned: The motion that the robot is about to carry out.
+
+        Returns:
+            False if nothing in it is worth a push.
         """
         config, robot = self.config, self._yardstick.robot
         wish = wish_along(robot, self._yardstick.optimum, self._yardstick.task.scene.axis).deviating(
@@ -138,6 +142,7 @@ class SimulatedPerson:
         self._hand = self._correcting
         self._hand.take()
         self._act = _Correction(wish, spans, self._yardstick.task.minds_tilt, config)
+        return bool(spans)
 
     def hand_wrench(self, time: float, q: ArrayLike, v: ArrayLike, motion_time: float = 0.0) -> Array:
         """Compute what the person's hand does to the tool now.
