@@ -52,7 +52,7 @@ class PersonConfig:
     """Most pushes in one run."""
     correction_span: float = 1.5
     """Duration of one push [s], of the robot's motion time."""
-    correction_threshold: float = 0.05
+    correction_threshold: float = 0.03
     """Mean shortfall of the true reward over a span that is worth a push [reward]."""
     visible: float = 0.03
     """Distance of the tool from where it is wanted that the person notices [m]."""
