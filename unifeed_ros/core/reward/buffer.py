@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,8 +104,30 @@ def build_buffer(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int,
     Raises:
         TrainingError: Nothing was taught that a comparison can be made from.
     """
-    items = dataset.comparisons()
-    return _Filler(items, robot, waypoints, config, rng).fill(demonstration_alternatives, correction_alternatives)
+    return build_buffers(dataset, robot, waypoints=waypoints, config=config, rng=rng,
+                         alternatives=[(demonstration_alternatives, correction_alternatives)])[0]
+
+
+def build_buffers(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int, config: AlternativesConfig,
+                  alternatives: Sequence[tuple[int, int]], rng: np.random.Generator) -> list[RankingsBuffer]:
+    """Fill several buffers, alike but for the alternatives, which each draws anew.
+
+    Args:
+        dataset: What was taught.
+        robot: The arm that was taught.
+        waypoints: States a motion H.
+        config: How alternatives are drawn.
+        alternatives: Alternatives of each demonstration N_d and of each correction N_c, for each buffer.
+        rng: Source of randomness.
+
+    Returns:
+        The buffers.
+
+    Raises:
+        TrainingError: Nothing was taught that a comparison can be made from.
+    """
+    filler = _Filler(dataset.comparisons(), robot, waypoints, config, rng)
+    return [filler.fill(*counts) for counts in alternatives]
 
 
 class _Filler:
@@ -116,24 +138,26 @@ class _Filler:
         self._items, self._robot, self._waypoints, self._config, self._rng = items, robot, waypoints, config, rng
         self._names = input_names([item.context for item in items])
         self._shown: list[Inputs] = []
+        self._sampled: dict[int, Array] = {}
 
     def fill(self, demonstration_count: int, correction_count: int) -> RankingsBuffer:
+        self._shown = []
         demonstrated, corrected, planned, better, worse = [], [], [], [], []
         demonstration_alternatives, correction_alternatives = [], []
         for item in self._items:
             if isinstance(item, Demonstration):
-                states = self._states(item.trajectory)
+                states = self._sample(item.trajectory, self._states)
                 demonstrated.append(self._show(states, item.context))
                 demonstration_alternatives.append(
                     self._vary(states, item.context, demonstration_count, self._config.free_end_share))
             elif isinstance(item, Correction):
                 # by length: where a hand leads matters, how long the arm waits for it does not
-                by_hand, by_plan = self._states_by_length(item.corrected), self._states_by_length(item.planned)
+                by_hand, by_plan = (self._sample(t, self._states_by_length) for t in (item.corrected, item.planned))
                 corrected.append(self._show(by_hand, item.context))
                 planned.append(self._show(by_plan, item.context))
                 correction_alternatives.append(self._vary(by_hand, item.context, correction_count, 0.0))
             else:
-                options = [self._show(self._states(option), item.context) for option in item.options]
+                options = [self._show(self._sample(option, self._states), item.context) for option in item.options]
                 better += [options[i] for i, _ in item.ranked_pairs]
                 worse += [options[j] for _, j in item.ranked_pairs]
         return RankingsBuffer(
@@ -145,6 +169,12 @@ class _Filler:
     def _show(self, states: Array, context: Context) -> int:
         self._shown.append(self._inputs(states, context))
         return len(self._shown) - 1
+
+    def _sample(self, trajectory: Trajectory, sampler: Callable[[Trajectory], Array]) -> Array:
+        """Sample a motion once, however many buffers hold it."""
+        if id(trajectory) not in self._sampled:
+            self._sampled[id(trajectory)] = sampler(trajectory)
+        return self._sampled[id(trajectory)]
 
     def _states(self, trajectory: Trajectory) -> Array:
         return self._robot.tool_states(trajectory.resampled(self._waypoints))

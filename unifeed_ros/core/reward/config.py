@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from unifeed_ros.core.errors import ConfigError
+from unifeed_ros.core.reward.activations import require_activation
 from unifeed_ros.core.reward.buffer import AlternativesConfig
 from unifeed_ros.core.reward.ensemble import RATIONALITY, RewardEnsemble
 
@@ -19,6 +20,8 @@ class TrainingConfig:
     plans differently from seed to seed; with the smaller batch that each then sees, a step costs the same."""
     hidden: Sequence[int] = (64, 64)
     """Widths of the hidden layers."""
+    activation: str = "leaky_relu"
+    """Activation of the hidden layers: leaky_relu, leaky_softplus (without its kink) or tanh."""
     rationality: float = RATIONALITY
     """How strongly returns decide a comparison, beta of the Luce choice rule [1/reward]."""
     waypoints: int = 20
@@ -36,6 +39,8 @@ class TrainingConfig:
     """Alternatives drawn of each demonstration and each correction, which the steps choose from. More than the paper's
     N_d and N_c, which stay the weights: what 200 of them happened to leave out differs from seed to seed by more than
     a correction teaches, and all members share it, so that more members do not help against it."""
+    compared_waypoints: int = 5
+    """About how many of a motion's states one step compares: every k-th, the first one drawn anew in each step."""
     batch: int = 24
     """Alternatives that each member sees in one step, shared evenly by demonstrations and corrections."""
     steps: int = 250
@@ -55,10 +60,12 @@ class TrainingConfig:
         """Reject values that would only fail in the middle of a lesson."""
         object.__setattr__(self, "hidden", tuple(int(w) for w in self.hidden))
         least = {"members": 2, "waypoints": 4, "demonstration_comparisons": 1, "correction_comparisons": 1,
-                 "preference_comparisons": 1, "pool": 1, "batch": 1, "steps": 1, "warm_steps": 0}
+                 "preference_comparisons": 1, "pool": 1, "compared_waypoints": 1,
+                 "batch": 1, "steps": 1, "warm_steps": 0}
         for name, bound in least.items():
             if getattr(self, name) < bound:
                 raise ConfigError(name, expected=f"at least {bound}", got=getattr(self, name))
+        require_activation(self.activation)
         if not self.hidden or min(self.hidden) < 1:
             raise ConfigError("hidden", expected="widths of at least 1", got=self.hidden)
         for name in ("learning_rate", "warm_learning_rate"):
