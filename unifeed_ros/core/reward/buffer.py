@@ -191,8 +191,8 @@ class _Filler:
         return states
 
     def _inputs(self, states: Array, context: Context) -> Inputs:
-        matrix, offset = input_map(self._names, context)
-        return (states @ matrix + offset).astype(np.float32)
+        matrix, offset = (part.astype(np.float32) for part in input_map(self._names, context))
+        return states.astype(np.float32) @ matrix + offset
 
     def _vary(self, states: Array, context: Context, count: int, free_share: float) -> Inputs:
         free = round(free_share * count)

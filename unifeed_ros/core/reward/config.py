@@ -18,7 +18,7 @@ class TrainingConfig:
     members: int = 8
     """Number of networks, at least 2 (disagreement needs two). More than the paper's three because the mean of three
     plans differently from seed to seed; with the smaller batch that each then sees, a step costs the same."""
-    hidden: Sequence[int] = (64, 64)
+    hidden: Sequence[int] = (48, 48)
     """Widths of the hidden layers."""
     activation: str = "leaky_relu"
     """Activation of the hidden layers: leaky_relu, leaky_softplus (without its kink) or tanh."""
@@ -43,14 +43,16 @@ class TrainingConfig:
     """About how many of a motion's states one step compares: every k-th, the first one drawn anew in each step."""
     batch: int = 24
     """Alternatives that each member sees in one step, shared evenly by demonstrations and corrections."""
-    steps: int = 250
+    steps: int = 200
     """Steps of the optimiser from scratch."""
-    learning_rate: float = 7e-3
+    learning_rate: float = 1e-2
     """Learning rate at the start; it falls to zero along a half cosine."""
     weight_penalty: float = 1e-3
     """Weight of the sum of squared weights of each member."""
     warm_steps: int = 0
     """Steps when going on from the previous model; 0: always from scratch."""
+    warm_share: float = 0.6
+    """Share of the previous model's weights in the mixture with new ones that a warm start begins with."""
     warm_learning_rate: float = 2e-3
     """Learning rate at the start when going on from the previous model."""
     alternatives: AlternativesConfig = field(default_factory=AlternativesConfig)
@@ -71,6 +73,8 @@ class TrainingConfig:
         for name in ("learning_rate", "warm_learning_rate"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ConfigError(name, expected="above 0 and below 1", got=getattr(self, name))
+        if not 0.0 < self.warm_share <= 1.0:
+            raise ConfigError("warm_share", expected="above 0, at most 1", got=self.warm_share)
         if not 0.0 < self.rationality < float("inf"):
             raise ConfigError("rationality", expected="above 0", got=self.rationality)
         if not self.weight_penalty >= 0.0:

@@ -31,7 +31,7 @@ class Comparisons:
         """Write each comparison as a column: 1 for the worse motion, -1 for the better one.
 
         Returns:
-            Matrix D, shape (T, C): gaps between returns are returns @ D.
+            Matrix, shape (T, C): returns @ matrix are the gaps between returns that surprise.
         """
         columns = torch.arange(len(self.better))
         matrix = torch.zeros(self.motions, len(self.better))
@@ -51,8 +51,8 @@ class LossGradient:
             comparisons: The comparisons, alike in each step.
             rationality: Factor beta on the returns in paper eq. M3 [1/reward].
         """
-        self._networks, self._rationality = networks, rationality
-        self._signs, self._weights = comparisons.signs(), comparisons.weights
+        self._networks, self._comparisons, self._rationality = networks, comparisons, rationality
+        self._matrices: dict[tuple[int, float], tuple[Tensor, Tensor]] = {}
 
     def write(self, motions: Tensor, scale: float) -> None:
         """Write the gradient of one step's loss into the networks' gradient.
@@ -63,10 +63,8 @@ class LossGradient:
         """
         networks = self._networks
         rewards, into, before = networks.forward(motions.flatten(1, 2))
-        factor = self._rationality * scale
-        returns = rewards.unflatten(1, motions.shape[1:3]).sum(dim=-1)
-        slopes = (torch.sigmoid((factor * returns) @ self._signs) * (factor * self._weights)) @ self._signs.T
-        by_state = slopes.repeat_interleave(motions.shape[2], dim=1)
+        gaps, slopes = self._matrices_of(motions.shape[2], scale)
+        by_state = torch.sigmoid(rewards @ gaps) @ slopes
         last = torch.ops.aten.tanh_backward(by_state, rewards)[:, None]
         torch.bmm(last, into[-1], out=networks.weight_gradients[-1].transpose(1, 2))
         torch.sum(last, dim=2, keepdim=True, out=networks.bias_gradients[-1])
@@ -77,3 +75,10 @@ class LossGradient:
             torch.sum(backward, dim=1, keepdim=True, out=networks.bias_gradients[layer])
             if layer:
                 backward = torch.bmm(backward, networks.weights[layer].transpose(1, 2))
+
+    def _matrices_of(self, states: int, scale: float) -> tuple[Tensor, Tensor]:
+        """Give the matrices from rewards to gaps, (T S, C), and from their softplus' slopes to the rewards', (C, T S)."""
+        if (states, scale) not in self._matrices:
+            gaps = self._rationality * scale * self._comparisons.signs().repeat_interleave(states, dim=0)
+            self._matrices[states, scale] = gaps, self._comparisons.weights[:, None] * gaps.T
+        return self._matrices[states, scale]

@@ -61,7 +61,8 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         networks = Networks(sizes, config.members, rng, config.activation)
         # a model that knows an input that was taken back since would keep a trace of it
         grown = previous is not None and set(previous.feedback_ids) <= {item.id for item in dataset.items}
-        warm = config.warm_steps > 0 and previous is not None and grown and networks.load(previous, buffer.inputs)
+        warm = (config.warm_steps > 0 and previous is not None and grown
+                and networks.blend(previous, buffer.inputs, config.warm_share))
         steps = config.warm_steps if warm else config.steps
         _optimise(networks, buffer, config, steps, config.warm_learning_rate if warm else config.learning_rate,
                   rng, on_progress)
