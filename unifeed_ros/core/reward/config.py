@@ -21,7 +21,8 @@ class TrainingConfig:
     hidden: Sequence[int] = (48, 48)
     """Widths of the hidden layers."""
     activation: str = "leaky_relu"
-    """Activation of the hidden layers: leaky_relu, leaky_softplus (without its kink) or tanh."""
+    """Activation of the hidden layers: leaky_relu, leaky_softplus (without its kink) or tanh, whose
+    members saturate and die at the learning rate of the others: give it 3e-3."""
     rationality: float = RATIONALITY
     """How strongly returns decide a comparison, beta of the Luce choice rule [1/reward]."""
     waypoints: int = 20
@@ -51,9 +52,7 @@ class TrainingConfig:
     """Weight of the sum of squared weights of each member."""
     warm_steps: int = 0
     """Steps when going on from the previous model; 0: always from scratch."""
-    warm_share: float = 0.6
-    """Share of the previous model's weights in the mixture with new ones that a warm start begins with."""
-    warm_learning_rate: float = 2e-3
+    warm_learning_rate: float = 3e-3
     """Learning rate at the start when going on from the previous model."""
     alternatives: AlternativesConfig = field(default_factory=AlternativesConfig)
     """How alternatives are drawn."""
@@ -73,8 +72,6 @@ class TrainingConfig:
         for name in ("learning_rate", "warm_learning_rate"):
             if not 0.0 < getattr(self, name) < 1.0:
                 raise ConfigError(name, expected="above 0 and below 1", got=getattr(self, name))
-        if not 0.0 < self.warm_share <= 1.0:
-            raise ConfigError("warm_share", expected="above 0, at most 1", got=self.warm_share)
         if not 0.0 < self.rationality < float("inf"):
             raise ConfigError("rationality", expected="above 0", got=self.rationality)
         if not self.weight_penalty >= 0.0:

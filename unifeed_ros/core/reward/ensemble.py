@@ -158,6 +158,7 @@ class RewardEnsemble:
             ConfigError: An activation that is not known here.
             InputError: A weight is not finite.
         """
+        require_activation(activation)
         row = np.asarray(flat, dtype=np.float32)
         layers = list(itertools.pairwise(layer_sizes))
         wanted = members * sum((i + 1) * o for i, o in layers)

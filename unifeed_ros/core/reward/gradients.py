@@ -77,7 +77,7 @@ class LossGradient:
                 backward = torch.bmm(backward, networks.weights[layer].transpose(1, 2))
 
     def _matrices_of(self, states: int, scale: float) -> tuple[Tensor, Tensor]:
-        """Give the matrices from rewards to gaps, (T S, C), and from their softplus' slopes to the rewards', (C, T S)."""
+        """Give the matrices from rewards to gaps, shape (T S, C), and from their slopes to the rewards', (C, T S)."""
         if (states, scale) not in self._matrices:
             gaps = self._rationality * scale * self._comparisons.signs().repeat_interleave(states, dim=0)
             self._matrices[states, scale] = gaps, self._comparisons.weights[:, None] * gaps.T

@@ -71,16 +71,12 @@ class Networks:
             weight[member] = torch.from_numpy(self._rng.uniform(-bound, bound, weight.shape[1:]).astype(np.float32))
             bias[member] = 0.0
 
-    def blend(self, ensemble: RewardEnsemble, inputs: tuple[str, ...], share: float) -> bool:
-        """Take over an ensemble's weights in part (shrink and perturb, Ash and Adams 2020).
-
-        Weights that were trained until the rate was zero are hard to move: nets that go on from them generalise worse
-        than new ones. Mixed with the weights they would have started from, they keep what they know and can move.
+    def load(self, ensemble: RewardEnsemble, inputs: tuple[str, ...]) -> bool:
+        """Take over an ensemble's weights.
 
         Args:
             ensemble: Where to take them from.
             inputs: Names of the inputs that these networks are to have.
-            share: Share of its weights; the rest is what is there already.
 
         Returns:
             False if its inputs, widths, activation or number of members differ; then nothing changes.
@@ -89,9 +85,9 @@ class Networks:
                 self._sizes, inputs, self._members, self.activation):
             return False
         for mine, theirs in zip(self.weights, ensemble.weights, strict=True):
-            mine.lerp_(torch.from_numpy(theirs.copy()), share)
+            mine.copy_(torch.from_numpy(theirs.copy()))
         for mine, theirs in zip(self.biases, ensemble.biases, strict=True):
-            mine.lerp_(torch.from_numpy(theirs[:, None].copy()), share)
+            mine.copy_(torch.from_numpy(theirs[:, None].copy()))
         return True
 
     def forward(self, inputs: Tensor) -> tuple[Tensor, list[Tensor], list[Tensor]]:

@@ -61,8 +61,7 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         networks = Networks(sizes, config.members, rng, config.activation)
         # a model that knows an input that was taken back since would keep a trace of it
         grown = previous is not None and set(previous.feedback_ids) <= {item.id for item in dataset.items}
-        warm = (config.warm_steps > 0 and previous is not None and grown
-                and networks.blend(previous, buffer.inputs, config.warm_share))
+        warm = config.warm_steps > 0 and previous is not None and grown and networks.load(previous, buffer.inputs)
         steps = config.warm_steps if warm else config.steps
         _optimise(networks, buffer, config, steps, config.warm_learning_rate if warm else config.learning_rate,
                   rng, on_progress)
@@ -91,7 +90,7 @@ def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig
         gradient.write(motions, scale)
         slopes.add_(weights, alpha=2.0 * config.weight_penalty)
         adam.step(learning_rate * 0.5 * (1.0 + np.cos(np.pi * step / steps)))
-        if step in (steps // 10, steps // 4):
+        if step in (steps // 10, steps // 4, steps // 2):
             for member in networks.dead_members(shown):
                 networks.restart(member)
                 for part in itertools.chain(*networks.layers_of(adam.mean), *networks.layers_of(adam.square)):
