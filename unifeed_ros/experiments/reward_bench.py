@@ -31,8 +31,6 @@ from unifeed_ros.experiments.reward_quality import (
 )
 from unifeed_ros.simulation.tasks import Yardstick
 
-WARM_STEPS = 60
-"""Steps of a warm start, where the training's settings have none."""
 MATRIX = 512
 """Rows of the matrices that the machine's speed is measured with; three of them fit the cache of a core."""
 
@@ -66,7 +64,6 @@ def bench_reward(robot: RobotModel, scenes: Sequence[Scene], *, horizons: Sequen
         on_row(f"matrix speed {speed / 1e9:.0f} GFLOP/s")
         for horizon in horizons:
             settings = replace(config or TrainingConfig(), waypoints=horizon)
-            settings = replace(settings, warm_steps=settings.warm_steps or WARM_STEPS)
             lessons = [taught_places(robot, scene, horizon) for scene in scenes]
             times = _times(teach(lessons[0], 0), robot, settings, peer or PaperTraining(), repeats)
             on_row(f"H = {horizon}: " + ", ".join(f"{name} {value:.4g}" for name, value in times.items()))
