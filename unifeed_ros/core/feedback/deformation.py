@@ -108,12 +108,13 @@ def deform_tool_states(states: Array, position_sizes: ArrayLike, axis_sizes: Arr
     Returns:
         Alternatives, shape (K, H, 6) [m, 1].
     """
-    position_sizes, axis_sizes = np.asarray(position_sizes, dtype=np.float64), np.asarray(axis_sizes, dtype=np.float64)
-    sizes = np.stack([position_sizes] * 3 + [axis_sizes] * 3, axis=-1)
-    alternatives = sample_deformations(len(states), sizes, rng, ends=ends)
-    alternatives += states
-    axes = alternatives[..., 3:]
-    axes /= np.maximum(np.sqrt(np.einsum("...i,...i", axes, axes)), 1e-9)[..., None]
+    alternatives = np.repeat(states[None], len(np.asarray(position_sizes)), axis=0)
+    for columns, sizes in ((slice(0, 3), position_sizes), (slice(3, 6), axis_sizes)):
+        moved = np.flatnonzero(sizes)
+        wanted = np.repeat(np.asarray(sizes, dtype=np.float64)[moved, None], 3, axis=1)
+        alternatives[moved, :, columns] += sample_deformations(len(states), wanted, rng, ends=ends)
+    axes = alternatives[moved, :, 3:]  # of those that were tilted, the others' are as they were
+    alternatives[moved, :, 3:] = axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-9)
     return alternatives
 
 

@@ -50,9 +50,9 @@ class TrainingConfig:
     """Learning rate at the start; it falls to zero along a half cosine."""
     weight_penalty: float = 1e-3
     """Weight of the sum of squared weights of each member."""
-    warm_steps: int = 80
+    warm_steps: int = 90
     """Steps when going on from the previous model; 0: always from scratch."""
-    warm_learning_rate: float = 3e-3
+    warm_learning_rate: float = 4e-3
     """Learning rate at the start when going on from the previous model."""
     alternatives: AlternativesConfig = field(default_factory=AlternativesConfig)
     """How alternatives are drawn."""
