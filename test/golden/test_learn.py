@@ -7,20 +7,29 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from unifeed_msgs.msg import Feedback
 from unifeed_ros.cli.main import main
+from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.recording import BagWriter, Qos, RecordedTopic, message_type, read_bag
+from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.reward.storage import load_model
+from unifeed_ros.core.reward.training import train_reward
+from unifeed_ros.core.robot import RobotModel, load_robot
+from unifeed_ros.nodes.conversions import feedback_from_msg, model_to_msg
+from unifeed_ros.resources import config_path
 
 from .test_lesson import BAG
 
 FEEDBACK = "unifeed_msgs/msg/Feedback"
 
 
-def write_bag(folder, messages):
-    topic = RecordedTopic(name="/feedback", type=message_type(FEEDBACK),
-                          qos=(Qos(history="keep_last", depth=10, reliability="reliable", durability="volatile"),))
-    with BagWriter(folder, [topic]) as bag:
+def write_bag(folder, messages, models=()):
+    qos = (Qos(history="keep_last", depth=10, reliability="reliable", durability="volatile"),)
+    topics = [RecordedTopic(name=name, type=message_type(kind), qos=qos)
+              for name, kind in (("/feedback", FEEDBACK), ("/reward_model", "unifeed_msgs/msg/RewardModel"))]
+    with BagWriter(folder, topics) as bag:
         for k, msg in enumerate(messages):
             bag.write("/feedback", serialize_message(msg), 10**9 + k)
+        for k, model in enumerate(models):
+            bag.write("/reward_model", serialize_message(model_to_msg(model, 2.0 + k)), 2 * 10**9 + k)
     return folder
 
 
@@ -38,6 +47,26 @@ def test_feedback_without_a_model_is_learned_from(tmp_path, taught, capsys):
     assert (row["version"], row["feedback"], row["seed"], row["identical"]) == (1, 3, 3, None)
     model = load_model(out / "reward_model_1.safetensors")
     assert model.robot == "panda" and model.feedback_ids == tuple(msg.id for msg in taught)
+
+
+def test_models_that_went_on_from_others_are_learned_again_as_they_were(tmp_path, taught, capsys):
+    robot = RobotModel(load_robot(config_path("robots", "panda")))
+    dataset, models = FeedbackDataset("panda", robot.joint_names), []
+
+    def learn(previous):
+        models.append(train_reward(dataset, robot, TrainingConfig(), version=len(models) + 1, seed=0,
+                                   previous=previous and previous.ensemble))
+
+    for msg in taught:
+        dataset.add(feedback_from_msg(msg, robot.joint_names))
+        learn(models[-1] if models else None)
+    learn(None)  # asked to begin from scratch
+    dataset.undo(taught[1].id)
+    learn(models[-1])  # which knows what was taken back
+    assert [m.steps == TrainingConfig().steps for m in models] == [True, False, False, True, True]
+    bag = write_bag(tmp_path / "bag", taught, [m.ensemble for m in models])
+    assert main(["learn", str(bag), "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert [row["identical"] for row in json.loads(capsys.readouterr().out)["models"]] == [True] * 5
 
 
 @pytest.mark.parametrize(("case", "words"), [

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from trajectory_msgs.msg import JointTrajectory
 
 from unifeed_msgs.msg import Feedback
-from unifeed_ros.core.errors import InputError, ShapeError
+from unifeed_ros.core.errors import ConfigError, InputError, ShapeError
 from unifeed_ros.core.feedback.items import Correction, Demonstration, Preference
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.types import Context, Trajectory
@@ -154,5 +154,5 @@ def test_a_reward_model_cut_short_is_refused():
     with pytest.raises(ShapeError):
         model_from_msg(message)
     message.activation = "relu"
-    with pytest.raises(InputError, match="activation"):
+    with pytest.raises(ConfigError, match="activation"):
         model_from_msg(message)

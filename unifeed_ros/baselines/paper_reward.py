@@ -15,8 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from unifeed_ros.core.reward.activations import LEAK
 from unifeed_ros.core.reward.buffer import RankingsBuffer
-from unifeed_ros.core.reward.ensemble import LEAK, RewardEnsemble
+from unifeed_ros.core.reward.ensemble import RewardEnsemble
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -71,10 +71,15 @@ def run_learn(options: argparse.Namespace) -> int:
         dataset = FeedbackDataset(recorded.robot.config.name, recorded.robot.joint_names)
         for name in ids:
             dataset.add(recorded.items[name])
-        result = train_reward(dataset, recorded.robot, recorded.training, version=version, seed=seed,
-                              previous=models[-1] if models else None)
+        # a recording does not say whether a training went on from the model before, or was told to begin from scratch
+        for previous in ([models[-1], None] if models and recorded.training.warm_steps else [None]):
+            result = train_reward(dataset, recorded.robot, recorded.training, version=version, seed=seed,
+                                  previous=previous)
+            row = _row(live, result.ensemble, result.seconds)
+            if row["identical"]:
+                break
         models.append(result.ensemble)
-        rows.append(_row(live, result.ensemble, result.seconds))
+        rows.append(row)
         print(_line(rows[-1]), file=sys.stderr if options.json else sys.stdout, flush=True)
     out = options.out.expanduser()
     for model in models:

@@ -31,8 +31,6 @@ from unifeed_ros.experiments.reward_quality import (
 )
 from unifeed_ros.simulation.tasks import Yardstick
 
-WARM_STEPS = 60
-"""Steps of a warm start, where the training's settings have none."""
 MATRIX = 512
 """Rows of the matrices that the machine's speed is measured with; three of them fit the cache of a core."""
 
@@ -43,9 +41,9 @@ def bench_reward(robot: RobotModel, scenes: Sequence[Scene], *, horizons: Sequen
     """Measure this project's training and the paper's procedure on the same feedback.
 
     Times are the processor's, of the first person of the first scene, six inputs, the newest one new to the warm start.
-    Quality is over all people and scenes; the peer is then trained with the pairs of a step in one forward pass, which
-    is the same training up to rounding. That way is timed too (`peer_batched_s`), because most of the plain peer's time
-    goes into single calls.
+    Quality is over all people and scenes, that of warm starts after one for each input but the first; the peer is then
+    trained with the pairs of a step in one forward pass, which is the same training up to rounding. That way is timed
+    too (`peer_batched_s`), because most of the plain peer's time goes into single calls.
 
     Args:
         robot: The arm.
@@ -66,7 +64,6 @@ def bench_reward(robot: RobotModel, scenes: Sequence[Scene], *, horizons: Sequen
         on_row(f"matrix speed {speed / 1e9:.0f} GFLOP/s")
         for horizon in horizons:
             settings = replace(config or TrainingConfig(), waypoints=horizon)
-            settings = replace(settings, warm_steps=settings.warm_steps or WARM_STEPS)
             lessons = [taught_places(robot, scene, horizon) for scene in scenes]
             times = _times(teach(lessons[0], 0), robot, settings, peer or PaperTraining(), repeats)
             on_row(f"H = {horizon}: " + ", ".join(f"{name} {value:.4g}" for name, value in times.items()))
@@ -113,8 +110,7 @@ def _judge(places: Sequence[Yardstick], person: int, config: TrainingConfig, pee
     dataset, robot = teach(places, person), places[0].robot
     unseen = unseen_motions(places[0], config.waypoints, person)
     cold = _train(dataset, robot, config, person).ensemble
-    before = _train(_without_newest(dataset), robot, config, person).ensemble
-    warm = _train(dataset, robot, config, person, before).ensemble
+    warm = _train_in_turn(dataset, robot, config, person)
     plain = _train_peer(dataset, robot, config, person, replace(peer, together=True))
     figures: dict[str, Any] = {}
     for prefix, ensemble in (("", cold), ("warm_", warm), ("peer_", plain)):
@@ -127,6 +123,16 @@ def _judge(places: Sequence[Yardstick], person: int, config: TrainingConfig, pee
 def _train(dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig, seed: int,
            previous: RewardEnsemble | None = None) -> TrainingResult:
     return train_reward(dataset, robot, config, version=1, seed=seed, previous=previous)
+
+
+def _train_in_turn(dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig, seed: int) -> RewardEnsemble:
+    """Train after each input, each time going on from the model before, as a lesson does."""
+    earlier, model = FeedbackDataset(dataset.robot, dataset.joint_names), None
+    for item in dataset.items:
+        earlier.add(item)
+        model = _train(earlier, robot, config, seed, model).ensemble
+    assert model is not None
+    return model
 
 
 def _train_peer(dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig, seed: int,

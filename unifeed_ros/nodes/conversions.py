@@ -146,7 +146,7 @@ def model_to_msg(model: RewardEnsemble, time: float) -> RewardModel:
     """Convert a learned reward."""
     return RewardModel(
         header=header(time, model.frame), version=model.version, robot=model.robot, inputs=list(model.inputs),
-        layer_sizes=list(model.layer_sizes), activation="leaky_relu", members=int(model.weights[0].shape[0]),
+        layer_sizes=list(model.layer_sizes), activation=model.activation, members=int(model.weights[0].shape[0]),
         weights=array("f", model.flat_weights().astype(np.float32).tobytes()), feedback_ids=list(model.feedback_ids),
         seed=model.seed)
 
@@ -155,15 +155,13 @@ def model_from_msg(msg: RewardModel) -> RewardEnsemble:
     """Convert a reward model message.
 
     Raises:
-        InputError: The activation is unknown.
+        ConfigError: The activation is unknown.
         ShapeError: The number of weights does not fit the layers.
     """
-    if msg.activation != "leaky_relu":
-        raise InputError("activation of the reward model", expected="leaky_relu", got=msg.activation)
     return RewardEnsemble.from_flat(
         np.array(msg.weights, dtype=np.float32), version=msg.version, robot=msg.robot, frame=msg.header.frame_id,
         inputs=tuple(msg.inputs), layer_sizes=tuple(msg.layer_sizes), members=msg.members,
-        feedback_ids=tuple(msg.feedback_ids), seed=msg.seed)
+        feedback_ids=tuple(msg.feedback_ids), seed=msg.seed, activation=msg.activation)
 
 
 def teaching_state_to_msg(command: Command, state: RobotState, duration: float, frame: str) -> TeachingState:

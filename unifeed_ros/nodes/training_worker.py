@@ -125,14 +125,8 @@ def _prepare(progress: Synchronized[float]) -> None:
 
 def _warm_up() -> None:
     """Load what the first training would wait for, then give up priority."""
-    import torch
-
     import unifeed_ros.core.reward.training  # noqa: F401
 
-    weight = torch.zeros(1, requires_grad=True)
-    optimiser = torch.optim.Adam([weight])
-    weight.sum().backward()
-    optimiser.step()
     os.nice(NICENESS)
 
 

@@ -83,9 +83,10 @@ def sample_deformations(points: int, sizes: ArrayLike, rng: np.random.Generator,
         raise ConfigError("size of a deformation", expected="finite, not negative", got=float(np.min(sizes)))
     moving = points - (2 if ends == "fixed" else 1)
     *alternatives, coordinates = sizes.shape
-    noise = rng.standard_normal((*alternatives, moving, coordinates)) * noise_scale(moving, ends) * sizes[..., None, :]
+    noise = rng.standard_normal((*alternatives, moving, coordinates))
+    noise *= noise_scale(moving, ends) * sizes[..., None, :]
     deformations = np.zeros((*alternatives, points, coordinates))
-    deformations[..., 1:1 + moving, :] = deformation_matrix(moving, ends) @ noise
+    np.matmul(deformation_matrix(moving, ends), noise, out=deformations[..., 1:1 + moving, :])
     return deformations
 
 
@@ -107,11 +108,13 @@ def deform_tool_states(states: Array, position_sizes: ArrayLike, axis_sizes: Arr
     Returns:
         Alternatives, shape (K, H, 6) [m, 1].
     """
-    position_sizes, axis_sizes = np.asarray(position_sizes, dtype=np.float64), np.asarray(axis_sizes, dtype=np.float64)
-    sizes = np.stack([position_sizes] * 3 + [axis_sizes] * 3, axis=-1)
-    alternatives = states + sample_deformations(len(states), sizes, rng, ends=ends)
-    axes = alternatives[..., 3:]
-    alternatives[..., 3:] = axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-9)
+    alternatives = np.repeat(states[None], len(np.asarray(position_sizes)), axis=0)
+    for columns, sizes in ((slice(0, 3), position_sizes), (slice(3, 6), axis_sizes)):
+        moved = np.flatnonzero(sizes)
+        wanted = np.repeat(np.asarray(sizes, dtype=np.float64)[moved, None], 3, axis=1)
+        alternatives[moved, :, columns] += sample_deformations(len(states), wanted, rng, ends=ends)
+    axes = alternatives[moved, :, 3:]  # of those that were tilted, the others' are as they were
+    alternatives[moved, :, 3:] = axes / np.maximum(np.linalg.norm(axes, axis=-1, keepdims=True), 1e-9)
     return alternatives
 
 

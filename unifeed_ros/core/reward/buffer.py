@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -104,8 +104,30 @@ def build_buffer(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int,
     Raises:
         TrainingError: Nothing was taught that a comparison can be made from.
     """
-    items = dataset.comparisons()
-    return _Filler(items, robot, waypoints, config, rng).fill(demonstration_alternatives, correction_alternatives)
+    return build_buffers(dataset, robot, waypoints=waypoints, config=config, rng=rng,
+                         alternatives=[(demonstration_alternatives, correction_alternatives)])[0]
+
+
+def build_buffers(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int, config: AlternativesConfig,
+                  alternatives: Sequence[tuple[int, int]], rng: np.random.Generator) -> list[RankingsBuffer]:
+    """Fill several buffers, alike but for the alternatives, which each draws anew.
+
+    Args:
+        dataset: What was taught.
+        robot: The arm that was taught.
+        waypoints: States a motion H.
+        config: How alternatives are drawn.
+        alternatives: Alternatives of each demonstration N_d and of each correction N_c, for each buffer.
+        rng: Source of randomness.
+
+    Returns:
+        The buffers.
+
+    Raises:
+        TrainingError: Nothing was taught that a comparison can be made from.
+    """
+    filler = _Filler(dataset.comparisons(), robot, waypoints, config, rng)
+    return [filler.fill(*counts) for counts in alternatives]
 
 
 class _Filler:
@@ -116,24 +138,27 @@ class _Filler:
         self._items, self._robot, self._waypoints, self._config, self._rng = items, robot, waypoints, config, rng
         self._names = input_names([item.context for item in items])
         self._shown: list[Inputs] = []
+        self._sampled: dict[int, Array] = {}
 
     def fill(self, demonstration_count: int, correction_count: int) -> RankingsBuffer:
+        self._shown = []
         demonstrated, corrected, planned, better, worse = [], [], [], [], []
-        demonstration_alternatives, correction_alternatives = [], []
+        demonstration_alternatives: list[Inputs] = []
+        correction_alternatives: list[Inputs] = []
         for item in self._items:
             if isinstance(item, Demonstration):
-                states = self._states(item.trajectory)
+                states = self._sample(item.trajectory, self._states)
                 demonstrated.append(self._show(states, item.context))
-                demonstration_alternatives.append(
-                    self._vary(states, item.context, demonstration_count, self._config.free_end_share))
+                demonstration_alternatives += self._vary(
+                    states, item.context, demonstration_count, self._config.free_end_share)
             elif isinstance(item, Correction):
                 # by length: where a hand leads matters, how long the arm waits for it does not
-                by_hand, by_plan = self._states_by_length(item.corrected), self._states_by_length(item.planned)
+                by_hand, by_plan = (self._sample(t, self._states_by_length) for t in (item.corrected, item.planned))
                 corrected.append(self._show(by_hand, item.context))
                 planned.append(self._show(by_plan, item.context))
-                correction_alternatives.append(self._vary(by_hand, item.context, correction_count, 0.0))
+                correction_alternatives += self._vary(by_hand, item.context, correction_count, 0.0)
             else:
-                options = [self._show(self._states(option), item.context) for option in item.options]
+                options = [self._show(self._sample(option, self._states), item.context) for option in item.options]
                 better += [options[i] for i, _ in item.ranked_pairs]
                 worse += [options[j] for _, j in item.ranked_pairs]
         return RankingsBuffer(
@@ -145,6 +170,12 @@ class _Filler:
     def _show(self, states: Array, context: Context) -> int:
         self._shown.append(self._inputs(states, context))
         return len(self._shown) - 1
+
+    def _sample(self, trajectory: Trajectory, sampler: Callable[[Trajectory], Array]) -> Array:
+        """Sample a motion once, however many buffers hold it."""
+        if id(trajectory) not in self._sampled:
+            self._sampled[id(trajectory)] = sampler(trajectory)
+        return self._sampled[id(trajectory)]
 
     def _states(self, trajectory: Trajectory) -> Array:
         return self._robot.tool_states(trajectory.resampled(self._waypoints))
@@ -161,15 +192,15 @@ class _Filler:
         return states
 
     def _inputs(self, states: Array, context: Context) -> Inputs:
-        matrix, offset = input_map(self._names, context)
-        return (states @ matrix + offset).astype(np.float32)
+        matrix, offset = (part.astype(np.float32) for part in input_map(self._names, context))
+        return states.astype(np.float32) @ matrix + offset
 
-    def _vary(self, states: Array, context: Context, count: int, free_share: float) -> Inputs:
+    def _vary(self, states: Array, context: Context, count: int, free_share: float) -> list[Inputs]:
         free = round(free_share * count)
         parts: list[tuple[Ends, int]] = [("free", free), ("fixed", count - free)]
-        return self._inputs(np.concatenate([self._draw(states, part, ends) for ends, part in parts]), context)
+        return [self._inputs(drawn, context) for ends, part in parts for drawn in self._draw(states, part, ends)]
 
-    def _draw(self, states: Array, count: int, ends: Ends) -> Array:
+    def _draw(self, states: Array, count: int, ends: Ends) -> tuple[Array, Array]:
         rng, config = self._rng, self._config
         delayed = round(config.delay_share * count)
         count -= delayed
@@ -178,14 +209,12 @@ class _Filler:
         position_sizes = np.where(moves, rng.choice(config.position_sizes, count), 0.0)
         axis_sizes = np.where(tilts, rng.choice(config.axis_sizes, count), 0.0)
         # delays may never arrive, whatever the ends: otherwise nothing says that the end is better than the way to it
-        return np.concatenate([
-            delay(states, rng.choice(config.delay_sizes, delayed), rng, ends="free"),
-            deform_tool_states(states, position_sizes, axis_sizes, rng, ends=ends)])
+        return (delay(states, rng.choice(config.delay_sizes, delayed), rng, ends="free"),
+                deform_tool_states(states, position_sizes, axis_sizes, rng, ends=ends))
 
     def _stack(self, alternatives: list[Inputs], count: int) -> Inputs:
-        if alternatives:
-            return np.stack(alternatives)
-        return np.zeros((0, count, self._waypoints, len(self._names)), dtype=np.float32)
+        shape = (-1 if alternatives else 0, count, self._waypoints, len(self._names))
+        return np.concatenate([np.zeros((0, *shape[2:]), dtype=np.float32), *alternatives]).reshape(shape)
 
 
 def _indices(values: list[int]) -> Indices:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from unifeed_ros.core.errors import ConfigError
+from unifeed_ros.core.reward.activations import require_activation
 from unifeed_ros.core.reward.buffer import AlternativesConfig
 from unifeed_ros.core.reward.ensemble import RATIONALITY, RewardEnsemble
 
@@ -17,8 +18,11 @@ class TrainingConfig:
     members: int = 8
     """Number of networks, at least 2 (disagreement needs two). More than the paper's three because the mean of three
     plans differently from seed to seed; with the smaller batch that each then sees, a step costs the same."""
-    hidden: Sequence[int] = (64, 64)
+    hidden: Sequence[int] = (48, 48)
     """Widths of the hidden layers."""
+    activation: str = "leaky_relu"
+    """Activation of the hidden layers: leaky_relu, leaky_softplus (without its kink) or tanh, whose
+    members saturate and die at the learning rate of the others: give it 3e-3."""
     rationality: float = RATIONALITY
     """How strongly returns decide a comparison, beta of the Luce choice rule [1/reward]."""
     waypoints: int = 20
@@ -36,17 +40,19 @@ class TrainingConfig:
     """Alternatives drawn of each demonstration and each correction, which the steps choose from. More than the paper's
     N_d and N_c, which stay the weights: what 200 of them happened to leave out differs from seed to seed by more than
     a correction teaches, and all members share it, so that more members do not help against it."""
+    compared_waypoints: int = 5
+    """About how many of a motion's states one step compares: every k-th, the first one drawn anew in each step."""
     batch: int = 24
     """Alternatives that each member sees in one step, shared evenly by demonstrations and corrections."""
-    steps: int = 250
+    steps: int = 200
     """Steps of the optimiser from scratch."""
-    learning_rate: float = 7e-3
+    learning_rate: float = 1e-2
     """Learning rate at the start; it falls to zero along a half cosine."""
     weight_penalty: float = 1e-3
     """Weight of the sum of squared weights of each member."""
-    warm_steps: int = 0
+    warm_steps: int = 90
     """Steps when going on from the previous model; 0: always from scratch."""
-    warm_learning_rate: float = 2e-3
+    warm_learning_rate: float = 4e-3
     """Learning rate at the start when going on from the previous model."""
     alternatives: AlternativesConfig = field(default_factory=AlternativesConfig)
     """How alternatives are drawn."""
@@ -55,10 +61,12 @@ class TrainingConfig:
         """Reject values that would only fail in the middle of a lesson."""
         object.__setattr__(self, "hidden", tuple(int(w) for w in self.hidden))
         least = {"members": 2, "waypoints": 4, "demonstration_comparisons": 1, "correction_comparisons": 1,
-                 "preference_comparisons": 1, "pool": 1, "batch": 1, "steps": 1, "warm_steps": 0}
+                 "preference_comparisons": 1, "pool": 1, "compared_waypoints": 1,
+                 "batch": 1, "steps": 1, "warm_steps": 0}
         for name, bound in least.items():
             if getattr(self, name) < bound:
                 raise ConfigError(name, expected=f"at least {bound}", got=getattr(self, name))
+        require_activation(self.activation)
         if not self.hidden or min(self.hidden) < 1:
             raise ConfigError("hidden", expected="widths of at least 1", got=self.hidden)
         for name in ("learning_rate", "warm_learning_rate"):

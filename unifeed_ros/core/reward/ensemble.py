@@ -10,16 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from unifeed_ros.core.errors import ConfigError, InputError, ShapeError
+from unifeed_ros.core.reward.activations import ACTIVATIONS, require_activation
 from unifeed_ros.core.reward.features import input_map
 from unifeed_ros.core.robot import TOOL_STATE
 from unifeed_ros.core.types import Array, Context
 
 Weights = NDArray[np.float32]
 
-ACTIVATION = "leaky_relu"
-"""Activation of the hidden layers."""
-LEAK = 0.01
-"""Slope of the activation below zero."""
 RATIONALITY = 5.0
 """How strongly returns decide a comparison, beta of P(x > y) = exp(beta R_x) / (exp(beta R_x) + exp(beta R_y))
 [1/reward]. Paper eq. M3 has 1; rewards between -1 and 1 must then saturate to tell near alternatives apart, and a
@@ -30,7 +27,7 @@ saturated reward is flat: on the way to the goal the planner no longer sees wher
 class RewardEnsemble:
     """Networks that were trained on the same feedback (paper sec. "Putting It All Together").
 
-    Leaky ReLU hidden layers and a tanh output, so that a state's reward lies between -1 and 1. A constant added to
+    The output is a tanh, so that a state's reward lies between -1 and 1. A constant added to
     all rewards leaves every comparison as it is: never compare absolute values between two ensembles.
     """
 
@@ -52,15 +49,18 @@ class RewardEnsemble:
     """Names of the feedback items that it was learned from."""
     seed: int = 0
     """Seed of the training."""
+    activation: str = "leaky_relu"
+    """Activation of the hidden layers."""
 
     def __post_init__(self) -> None:
         """Check shapes and finiteness, and make the weights read-only.
 
         Raises:
-            ConfigError: Fewer than two members, or sizes that do not fit the inputs.
+            ConfigError: Fewer than two members, sizes that do not fit the inputs, or an unknown activation.
             ShapeError: A layer's weights have another shape.
             InputError: A weight is not finite.
         """
+        require_activation(self.activation)
         sizes = tuple(int(s) for s in self.layer_sizes)
         if len(sizes) < 2 or sizes[0] != len(self.inputs) or sizes[-1] != 1 or min(sizes) < 1:
             raise ConfigError("layer sizes", expected=f"{len(self.inputs)} inputs, hidden widths, 1 output", got=sizes)
@@ -135,7 +135,7 @@ class RewardEnsemble:
     @classmethod
     def from_flat(cls, flat: ArrayLike, *, members: int, layer_sizes: Sequence[int], inputs: Sequence[str],
                   version: int, robot: str, frame: str, feedback_ids: Sequence[str] = (), seed: int = 0,
-                  activation: str = ACTIVATION) -> RewardEnsemble:
+                  activation: str = "leaky_relu") -> RewardEnsemble:
         """Read an ensemble from the row that flat_weights writes.
 
         Args:
@@ -158,8 +158,7 @@ class RewardEnsemble:
             ConfigError: An activation that is not known here.
             InputError: A weight is not finite.
         """
-        if activation != ACTIVATION:
-            raise ConfigError("activation of the reward model", expected=ACTIVATION, got=activation)
+        require_activation(activation)
         row = np.asarray(flat, dtype=np.float32)
         layers = list(itertools.pairwise(layer_sizes))
         wanted = members * sum((i + 1) * o for i, o in layers)
@@ -172,7 +171,8 @@ class RewardEnsemble:
             biases.append(block[:, i * o:])
             at += block.size
         return cls(version=version, robot=robot, frame=frame, inputs=tuple(inputs), layer_sizes=tuple(layer_sizes),
-                   weights=tuple(weights), biases=tuple(biases), feedback_ids=tuple(feedback_ids), seed=seed)
+                   weights=tuple(weights), biases=tuple(biases), feedback_ids=tuple(feedback_ids), seed=seed,
+                   activation=activation)
 
 
 class ContextReward:
@@ -185,7 +185,7 @@ class ContextReward:
         biases = [b.astype(np.float64)[:, None, :] for b in ensemble.biases]
         biases[0] = biases[0] + offset @ weights[0][:, None]
         weights[0] = matrix @ weights[0]
-        self._weights, self._biases = weights, biases
+        self._weights, self._biases, self._activate = weights, biases, ACTIVATIONS[ensemble.activation]
 
     def member_rewards(self, tool_states: ArrayLike) -> Array:
         """Compute every member's reward of each state.
@@ -225,9 +225,8 @@ class ContextReward:
         """Run all members at once; returns their rewards (m, N) and the slopes of the activations (m, N, width)."""
         hidden, slopes = states[None], []
         for weight, bias in zip(self._weights[:-1], self._biases[:-1], strict=True):
-            hidden = hidden @ weight + bias
-            slopes.append(np.where(hidden > 0.0, 1.0, LEAK))
-            hidden = hidden * slopes[-1]
+            hidden, slope = self._activate(hidden @ weight + bias)
+            slopes.append(slope)
         return np.tanh(hidden @ self._weights[-1] + self._biases[-1])[..., 0], slopes
 
 

@@ -1,17 +1,17 @@
-"""The members' weights while they are trained, and the comparisons put through them."""
+"""The members' weights while they are trained."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from math import prod
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from unifeed_ros.core.reward.buffer import RankingsBuffer
-from unifeed_ros.core.reward.ensemble import LEAK, RewardEnsemble
-from unifeed_ros.core.reward.losses import LossTerms, correction_loss, demonstration_loss, preference_loss
+from unifeed_ros.core.reward.activations import LEAK, SHARPNESS
+from unifeed_ros.core.reward.ensemble import RewardEnsemble
 
 SPREAD = 1e-4
 """Standard deviation of the rewards of the shown states under which a member counts as dead [1]."""
@@ -21,39 +21,55 @@ class Networks:
     """All members' weights, one tensor a layer, and their joint forward pass.
 
     Attributes:
-        weights: Matrices of each layer, shape (m, in, out).
-        biases: Biases of each layer, shape (m, 1, out).
+        activation: Activation of the hidden layers.
+        flat: Everything that is trained in one row, shape (W,): all weights, then all biases, each layer by layer.
+        gradient: Room for the gradient of a loss with respect to it, shape (W,).
+        weights: Its parts that are matrices of a layer, shape (m, in, out).
+        biases: Its parts that are biases of a layer, shape (m, 1, out).
+        weight_gradients: The gradient's parts that belong to the weights.
+        bias_gradients: The gradient's parts that belong to the biases.
+        matrix_entries: How many entries of a row are weights; those of the biases follow.
     """
 
-    def __init__(self, sizes: Sequence[int], members: int, rng: np.random.Generator) -> None:
+    def __init__(self, sizes: Sequence[int], members: int, rng: np.random.Generator,
+                 activation: str = "leaky_relu") -> None:
         """Draw the first weights.
 
         Args:
             sizes: Widths from the input to the output.
             members: Number of networks m.
             rng: Source of randomness, kept for restarts.
+            activation: Activation of the hidden layers.
         """
-        self._sizes, self._rng = tuple(sizes), rng
-        layers = list(itertools.pairwise(sizes))
-        self.weights = [torch.zeros(members, i, o) for i, o in layers]
-        self.biases = [torch.zeros(members, 1, o) for _, o in layers]
+        self._sizes, self._members, self._rng, self.activation = tuple(sizes), members, rng, activation
+        self.flat = torch.zeros(members * sum((i + 1) * o for i, o in itertools.pairwise(sizes)))
+        self.gradient = torch.zeros_like(self.flat)
+        self.weights, self.biases = self.layers_of(self.flat)
+        self.weight_gradients, self.bias_gradients = self.layers_of(self.gradient)
+        self.matrix_entries = sum(weight.numel() for weight in self.weights)
         for member in range(members):
             self.restart(member)
-        for parameter in self.parameters:
-            parameter.requires_grad_(True)
 
-    @property
-    def parameters(self) -> list[Tensor]:
-        """All tensors that are trained; their first axis is the member."""
-        return [*self.weights, *self.biases]
+    def layers_of(self, flat: Tensor) -> tuple[list[Tensor], list[Tensor]]:
+        """Cut a row like `flat` into layers, without copying.
+
+        Args:
+            flat: Shape (W,).
+
+        Returns:
+            Weights and biases of each layer, shaped as the attributes.
+        """
+        shapes = [(self._members, i, o) for i, o in itertools.pairwise(self._sizes)]
+        shapes += [(self._members, 1, o) for o in self._sizes[1:]]
+        parts = [part.view(shape) for part, shape in zip(flat.split(list(map(prod, shapes))), shapes, strict=True)]
+        return parts[:len(parts) // 2], parts[len(parts) // 2:]
 
     def restart(self, member: int) -> None:
         """Draw one member's weights anew (Glorot's uniform rule, biases zero)."""
-        with torch.no_grad():
-            for weight, bias in zip(self.weights, self.biases, strict=True):
-                bound = np.sqrt(6.0 / (weight.shape[1] + weight.shape[2]))
-                weight[member] = torch.from_numpy(self._rng.uniform(-bound, bound, weight.shape[1:]).astype(np.float32))
-                bias[member] = 0.0
+        for weight, bias in zip(self.weights, self.biases, strict=True):
+            bound = np.sqrt(6.0 / (weight.shape[1] + weight.shape[2]))
+            weight[member] = torch.from_numpy(self._rng.uniform(-bound, bound, weight.shape[1:]).astype(np.float32))
+            bias[member] = 0.0
 
     def load(self, ensemble: RewardEnsemble, inputs: tuple[str, ...]) -> bool:
         """Take over an ensemble's weights.
@@ -63,16 +79,33 @@ class Networks:
             inputs: Names of the inputs that these networks are to have.
 
         Returns:
-            False if its inputs, widths or number of members differ; then nothing changes.
+            False if its inputs, widths, activation or number of members differ; then nothing changes.
         """
-        if (ensemble.layer_sizes, ensemble.inputs, ensemble.members) != (self._sizes, inputs, len(self.weights[0])):
+        if (ensemble.layer_sizes, ensemble.inputs, ensemble.members, ensemble.activation) != (
+                self._sizes, inputs, self._members, self.activation):
             return False
-        with torch.no_grad():
-            for mine, theirs in zip(self.weights, ensemble.weights, strict=True):
-                mine.copy_(torch.from_numpy(theirs.copy()))
-            for mine, theirs in zip(self.biases, ensemble.biases, strict=True):
-                mine.copy_(torch.from_numpy(theirs[:, None].copy()))
+        for mine, theirs in zip(self.weights, ensemble.weights, strict=True):
+            mine.copy_(torch.from_numpy(theirs.copy()))
+        for mine, theirs in zip(self.biases, ensemble.biases, strict=True):
+            mine.copy_(torch.from_numpy(theirs[:, None].copy()))
         return True
+
+    def forward(self, inputs: Tensor) -> tuple[Tensor, list[Tensor], list[Tensor]]:
+        """Compute each member's rewards, and keep what their gradient needs.
+
+        Args:
+            inputs: Network inputs, shape (m, N, I).
+
+        Returns:
+            Rewards, shape (m, N) [1]; what goes into each layer; what the hidden layers' activations were applied to.
+        """
+        into, before = [inputs], []
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            before.append(torch.baddbmm(bias, into[-1], weight))
+            into.append(activate(self.activation, before[-1]))
+        # the last layer has one output: a weighted sum is faster than a product of matrices
+        last = (into[-1] * self.weights[-1].transpose(1, 2)).sum(dim=-1)
+        return last.add_(self.biases[-1][..., 0]).tanh_(), into, before
 
     def rewards(self, motions: Tensor) -> Tensor:
         """Compute each member's reward of each state.
@@ -83,13 +116,7 @@ class Networks:
         Returns:
             Rewards, shape (m, T, H) [1].
         """
-        members, count, states, width = motions.shape
-        hidden = motions.reshape(members, count * states, width)
-        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            hidden = torch.baddbmm(bias, hidden, weight)
-            if layer < len(self.weights) - 1:
-                hidden = torch.nn.functional.leaky_relu(hidden, LEAK)
-        return torch.tanh(hidden).reshape(members, count, states)
+        return self.forward(motions.flatten(1, 2))[0].unflatten(1, motions.shape[1:3])
 
     def dead_members(self, motions: Tensor) -> list[int]:
         """Find members that reward all states alike, or whose rewards are not numbers.
@@ -100,83 +127,41 @@ class Networks:
         Returns:
             Indices of the members.
         """
-        with torch.no_grad():
-            spreads = self.rewards(motions).flatten(1).std(dim=1).tolist()
+        spreads = self.rewards(motions).flatten(1).std(dim=1).tolist()
         return [member for member, spread in enumerate(spreads) if not spread > SPREAD]
 
 
-class Comparer:
-    """Puts each shown motion and each alternative through the networks once, and compares their returns.
+def activate(name: str, inputs: Tensor) -> Tensor:
+    """Apply an activation (see activations.py, which has the same in numpy).
 
-    Attributes:
-        shown: Network inputs of the shown motions, shape (m, A, H, I).
+    Args:
+        name: Name of the activation.
+        inputs: Any shape.
+
+    Returns:
+        Values, the same shape.
     """
+    if name == "tanh":
+        return torch.tanh(inputs)
+    if name == "leaky_softplus":
+        return torch.nn.functional.softplus(inputs, SHARPNESS).mul_(1.0 - LEAK).add_(inputs, alpha=LEAK)
+    return torch.nn.functional.leaky_relu(inputs, LEAK)
 
-    def __init__(self, networks: Networks, buffer: RankingsBuffer, rationality: float) -> None:
-        """Hold the networks and the buffer's arrays as tensors, without copying.
 
-        Args:
-            networks: The members.
-            buffer: The comparisons.
-            rationality: Factor beta on the returns in paper eq. M3 [1/reward].
-        """
-        self._networks, self._buffer, self._rationality = networks, buffer, rationality
-        members = len(networks.weights[0])
-        self.shown = torch.from_numpy(buffer.shown).expand(members, *buffer.shown.shape)
-        self._demonstrations = torch.from_numpy(buffer.demonstration_alternatives)
-        self._corrections = torch.from_numpy(buffer.correction_alternatives)
+def backpropagate(name: str, backward: Tensor, inputs: Tensor, values: Tensor) -> Tensor:
+    """Multiply a gradient by an activation's slope.
 
-    def draw(self, count: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-        """Draw some alternatives for each member on its own.
+    Args:
+        name: Name of the activation.
+        backward: Gradient with respect to the values; it may be overwritten.
+        inputs: What the activation was applied to, the same shape.
+        values: Its values, the same shape.
 
-        Args:
-            count: Alternatives K of each demonstration and each correction.
-            rng: Source of randomness.
-
-        Returns:
-            Alternatives of the demonstrations, shape (m, D, K, H, I), and of the corrections, (m, C, K, H, I).
-        """
-        return self._pick(self._demonstrations, count, rng), self._pick(self._corrections, count, rng)
-
-    def all_alternatives(self) -> tuple[Tensor, Tensor]:
-        """Take every alternative in the buffer, shaped as by draw."""
-        members = len(self.shown)
-        return (self._demonstrations.expand(members, *self._demonstrations.shape),
-                self._corrections.expand(members, *self._corrections.shape))
-
-    def returns(self, alternatives: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """Compute returns: sums of the rewards of a motion's states.
-
-        Args:
-            alternatives: As from draw.
-
-        Returns:
-            Returns of the shown motions, shape (m, A), of the demonstrations' alternatives, (m, D, K), and of the
-            corrections' alternatives, (m, C, K) [1].
-        """
-        motions = torch.cat([self.shown, *(a.flatten(1, 2) for a in alternatives)], dim=1)
-        returns = self._networks.rewards(motions).sum(dim=-1)
-        counts = [self.shown.shape[1], *(a.shape[1] * a.shape[2] for a in alternatives)]
-        shown, demonstrations, corrections = torch.split(returns, counts, dim=1)
-        return shown, demonstrations.reshape(alternatives[0].shape[:3]), corrections.reshape(alternatives[1].shape[:3])
-
-    def losses(self, alternatives: tuple[Tensor, Tensor]) -> LossTerms:
-        """Compute the three losses of each member (paper eqs. M4 to M6).
-
-        Args:
-            alternatives: As from draw.
-
-        Returns:
-            The losses.
-        """
-        shown, demonstrations, corrections = (self._rationality * r for r in self.returns(alternatives))
-        buffer = self._buffer
-        return LossTerms(
-            demonstrations=demonstration_loss(shown[:, buffer.demonstrated], demonstrations),
-            corrections=correction_loss(shown[:, buffer.corrected], shown[:, buffer.planned], corrections),
-            preferences=preference_loss(shown[:, buffer.better], shown[:, buffer.worse]))
-
-    def _pick(self, alternatives: Tensor, count: int, rng: np.random.Generator) -> Tensor:
-        groups, available = alternatives.shape[:2]
-        drawn = torch.from_numpy(rng.integers(available, size=(len(self.shown), groups, count)))
-        return alternatives[torch.arange(groups)[:, None], drawn]
+    Returns:
+        Gradient with respect to the inputs, the same shape.
+    """
+    if name == "tanh":
+        return torch.ops.aten.tanh_backward(backward, values)
+    if name == "leaky_softplus":
+        return backward.mul_(torch.sigmoid(SHARPNESS * inputs).mul_(1.0 - LEAK).add_(LEAK))
+    return torch.ops.aten.leaky_relu_backward(backward, inputs, LEAK, False)

@@ -39,6 +39,7 @@ def save_model(path: Path, model: RewardEnsemble) -> Path:
         "members": int(model.weights[0].shape[0]),
         "feedback_ids": list(model.feedback_ids),
         "seed": model.seed,
+        "activation": model.activation,
     }
     temporary = path.with_suffix(".partial")
     # one entry only: safetensors writes several in no fixed order, and the same model must give the same bytes
@@ -70,4 +71,4 @@ def load_model(path: Path) -> RewardEnsemble:
     return RewardEnsemble.from_flat(
         weights, version=about["version"], robot=about["robot"], frame=about["frame"], inputs=tuple(about["inputs"]),
         layer_sizes=tuple(about["layer_sizes"]), members=about["members"], feedback_ids=tuple(about["feedback_ids"]),
-        seed=about["seed"])
+        seed=about["seed"], activation=about.get("activation", "leaky_relu"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,12 +13,18 @@ from torch import Tensor
 
 from unifeed_ros.core.errors import TrainingError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
-from unifeed_ros.core.reward.buffer import RankingsBuffer, build_buffer
+from unifeed_ros.core.reward.adam import Adam
+from unifeed_ros.core.reward.batches import Batches
+from unifeed_ros.core.reward.buffer import RankingsBuffer, build_buffers
 from unifeed_ros.core.reward.config import TrainingConfig, TrainingResult
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
-from unifeed_ros.core.reward.losses import LossTerms
-from unifeed_ros.core.reward.networks import Comparer, Networks
+from unifeed_ros.core.reward.gradients import LossGradient
+from unifeed_ros.core.reward.losses import LossTerms, correction_loss, demonstration_loss, preference_loss
+from unifeed_ros.core.reward.networks import Networks
 from unifeed_ros.core.robot import RobotModel
+
+FRESH = 20
+"""Alternatives of each demonstration and each correction that the accuracy is measured on."""
 
 
 def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig, *, version: int, seed: int,
@@ -46,23 +53,25 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
     """
     began = time.perf_counter()
     rng = np.random.default_rng(seed)
-    buffer = _build(dataset, robot, config, config.pool, config.pool, rng)
+    buffer, fresh = build_buffers(dataset, robot, waypoints=config.waypoints,
+                                  alternatives=[(config.pool, config.pool), (FRESH, FRESH)],
+                                  config=config.alternatives, rng=rng)
     sizes = (len(buffer.inputs), *config.hidden, 1)
     with _one_thread():
-        networks = Networks(sizes, config.members, rng)
+        networks = Networks(sizes, config.members, rng, config.activation)
         # a model that knows an input that was taken back since would keep a trace of it
         grown = previous is not None and set(previous.feedback_ids) <= {item.id for item in dataset.items}
         warm = config.warm_steps > 0 and previous is not None and grown and networks.load(previous, buffer.inputs)
         steps = config.warm_steps if warm else config.steps
         _optimise(networks, buffer, config, steps, config.warm_learning_rate if warm else config.learning_rate,
                   rng, on_progress)
-        fresh = _build(dataset, robot, config, config.demonstration_comparisons, config.correction_comparisons, rng)
         terms, accuracy = _evaluate(networks, fresh, config.rationality)
     ensemble = RewardEnsemble(
         version=version, robot=dataset.robot, frame=robot.config.base_frame, inputs=buffer.inputs, layer_sizes=sizes,
-        weights=tuple(w.detach().numpy() for w in networks.weights),
-        biases=tuple(b.detach().numpy()[:, 0] for b in networks.biases),
-        feedback_ids=tuple(item.id for item in dataset.items), seed=seed)
+        weights=tuple(w.numpy() for w in networks.weights),
+        biases=tuple(b.numpy()[:, 0] for b in networks.biases),
+        feedback_ids=tuple(item.id for item in dataset.items), seed=seed,
+        activation=config.activation)
     return TrainingResult(
         ensemble=ensemble, seconds=time.perf_counter() - began, steps=steps, accuracy=accuracy,
         loss_demonstrations=_mean(terms.demonstrations, len(buffer.demonstrated)),
@@ -73,52 +82,45 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
 def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig, steps: int, learning_rate: float,
               rng: np.random.Generator, on_progress: Callable[[float], None] | None) -> None:
     """Minimise eq. M9 with Adam under a cosine schedule, restarting members that die early."""
-    comparer = Comparer(networks, buffer, config.rationality)
-    weights = (config.demonstration_comparisons, config.correction_comparisons, config.preference_comparisons)
-    counts = (len(buffer.demonstrated), 2 * len(buffer.corrected), len(buffer.better))
-    total = sum(w * c for w, c in zip(weights, counts, strict=True))
-    each = max(1, config.batch // max(1, len(buffer.demonstrated) + len(buffer.corrected)))
-    adam = torch.optim.Adam(networks.parameters, lr=learning_rate, fused=True)
-    for step in range(steps):
-        for group in adam.param_groups:
-            group["lr"] = learning_rate * 0.5 * (1.0 + np.cos(np.pi * step / steps))
-        terms = comparer.losses(comparer.draw(each, rng))
-        entropy = (weights[0] * terms.demonstrations + weights[1] * terms.corrections + weights[2] * terms.preferences)
-        penalty = torch.stack([w.square().sum() for w in networks.weights]).sum()
-        adam.zero_grad(set_to_none=True)
-        torch.autograd.backward(entropy.sum() / total + config.weight_penalty * penalty)
-        adam.step()
-        if step in (steps // 10, steps // 4):
-            for member in networks.dead_members(comparer.shown):
+    batches, adam = Batches(buffer, config), Adam(networks.flat, networks.gradient)
+    gradient = LossGradient(networks, batches.comparisons, config.rationality)
+    weights, slopes = networks.flat[:networks.matrix_entries], networks.gradient[:networks.matrix_entries]
+    shown = torch.from_numpy(buffer.shown).expand(config.members, *buffer.shown.shape)
+    for step, (motions, scale) in enumerate(batches.draw(steps, rng)):
+        gradient.write(motions, scale)
+        slopes.add_(weights, alpha=2.0 * config.weight_penalty)
+        adam.step(learning_rate * 0.5 * (1.0 + np.cos(np.pi * step / steps)))
+        if step in (steps // 10, steps // 4, steps // 2):
+            for member in networks.dead_members(shown):
                 networks.restart(member)
-                for state in adam.state.values():
-                    state["exp_avg"][member] = state["exp_avg_sq"][member] = 0.0
+                for part in itertools.chain(*networks.layers_of(adam.mean), *networks.layers_of(adam.square)):
+                    part[member] = 0.0
         if on_progress is not None and (step + 1) % max(1, steps // 20) == 0:
             on_progress((step + 1) / steps)
-    if dead := networks.dead_members(comparer.shown):
+    if dead := networks.dead_members(shown):
         raise TrainingError(f"training left {len(dead)} of {config.members} members dead or diverged",
                             mend="lower the learning rate, or train again with another seed")
 
 
 def _evaluate(networks: Networks, fresh: RankingsBuffer, rationality: float) -> tuple[LossTerms, float]:
     """Losses on fresh alternatives, and the share of comparisons that the members' mean decides rightly."""
-    comparer = Comparer(networks, fresh, rationality)
-    with torch.no_grad():
-        alternatives = comparer.all_alternatives()
-        terms = comparer.losses(alternatives)
-        shown, demonstrations, corrections = (r.mean(dim=0) for r in comparer.returns(alternatives))
+    members, motions = len(networks.weights[0]), fresh.shown.shape[1:]
+    groups = [torch.from_numpy(g) for g in (fresh.shown, fresh.demonstration_alternatives,
+                                            fresh.correction_alternatives)]
+    returns = [networks.rewards(g.reshape(1, -1, *motions).expand(members, -1, -1, -1)).sum(dim=-1) for g in groups]
+    shown, demonstrations, corrections = (
+        r.reshape(members, *g.shape[:-2]) for r, g in zip(returns, groups, strict=True))
+    scaled = rationality * shown
+    terms = LossTerms(
+        demonstrations=demonstration_loss(scaled[:, fresh.demonstrated], rationality * demonstrations),
+        corrections=correction_loss(scaled[:, fresh.corrected], scaled[:, fresh.planned], rationality * corrections),
+        preferences=preference_loss(scaled[:, fresh.better], scaled[:, fresh.worse]))
+    mean, demonstrations, corrections = shown.mean(dim=0), demonstrations.mean(dim=0), corrections.mean(dim=0)
     decided = torch.cat([
-        (shown[fresh.demonstrated][:, None] - demonstrations).flatten(),
-        (shown[fresh.corrected][:, None] - corrections).flatten(),
-        shown[fresh.corrected] - shown[fresh.planned], shown[fresh.better] - shown[fresh.worse]])
+        (mean[fresh.demonstrated][:, None] - demonstrations).flatten(),
+        (mean[fresh.corrected][:, None] - corrections).flatten(),
+        mean[fresh.corrected] - mean[fresh.planned], mean[fresh.better] - mean[fresh.worse]])
     return terms, float((decided > 0).float().mean())
-
-
-def _build(dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig, demonstration_alternatives: int,
-           correction_alternatives: int, rng: np.random.Generator) -> RankingsBuffer:
-    return build_buffer(
-        dataset, robot, waypoints=config.waypoints, demonstration_alternatives=demonstration_alternatives,
-        correction_alternatives=correction_alternatives, config=config.alternatives, rng=rng)
 
 
 def _mean(sums: Tensor, count: int) -> float:
