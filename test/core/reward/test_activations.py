@@ -57,10 +57,10 @@ def test_an_ensembles_gradient_is_that_of_its_value(name, ensemble, context):
 def test_each_is_trained_with_and_kept(name, panda, straight, context, tmp_path):
     dataset = FeedbackDataset("panda", panda.joint_names)
     dataset.add(Demonstration(id="d", robot="panda", context=context, trajectory=straight))
-    config = TrainingConfig(activation=name, steps=150, hidden=(24, 24), pool=200,
+    config = TrainingConfig(activation=name, steps=200, hidden=(24, 24), pool=200,
                             learning_rate=3e-3 if name == "tanh" else 1e-2)
     result = train_reward(dataset, panda, config, version=1, seed=0)
-    assert result.accuracy > 0.8
+    assert result.loss_demonstrations < 0.6  # guessing: log 2
     kept = load_model(save_model(tmp_path / "model.safetensors", result.ensemble))
     assert kept.activation == name
     states = panda.tool_states(straight.resampled(9))

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import torch
 
 from unifeed_ros.core.errors import ConfigError, TrainingError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
@@ -114,6 +115,17 @@ def test_same_seed_same_bytes_and_another_seed_others(result, panda, items):
     assert again.ensemble.flat_weights().tobytes() == result.ensemble.flat_weights().tobytes()
     other = train_reward(dataset_of(panda, items), panda, QUICK, version=4, seed=8)
     assert other.ensemble.flat_weights().tobytes() != result.ensemble.flat_weights().tobytes()
+
+
+def test_the_number_of_threads_changes_no_byte(result, panda, items):
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        again = train_reward(dataset_of(panda, items), panda, QUICK, version=4, seed=7)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(threads)
+    assert again.ensemble.flat_weights().tobytes() == result.ensemble.flat_weights().tobytes()
 
 
 @pytest.mark.parametrize("kind", [0, 1, 2])
