@@ -9,8 +9,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 SENSOR, EVENT, LATCHED, STREAM = "sensor", "event", "latched", "stream"
 """Names of the qualities of service: fast states, things that must all arrive, newest value kept, the rest."""
 
-PUBLISHER_DEPTH = {SENSOR: 1000, EVENT: 100, LATCHED: 10, STREAM: 500}
-"""Messages kept for a reliable reader that is late; more than a second of each, or a busy recorder loses some."""
+PUBLISHER_DEPTH = {SENSOR: 3000, EVENT: 100, LATCHED: 10, STREAM: 500}
+"""Messages kept for a reliable reader that is late; seconds of each, or a recorder on a busy machine loses some."""
 SUBSCRIBER_DEPTH = {SENSOR: 10, EVENT: 100, LATCHED: 1, STREAM: 50}
 RECORDER_DEPTH = {SENSOR: 5000, EVENT: 1000, LATCHED: 100, STREAM: 1000}
 
