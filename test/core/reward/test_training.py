@@ -152,6 +152,14 @@ def test_it_goes_on_from_the_last_model_where_that_fits(result, panda, items):
     assert train_reward(dataset, panda, wider, version=5, seed=1, previous=result.ensemble).steps == wider.steps
 
 
+def test_it_does_not_go_on_from_a_model_that_cannot_learn_any_more(result, panda, items):
+    biases = result.ensemble.biases
+    saturated = dataclasses.replace(result.ensemble, biases=(*biases[:-1], biases[-1] - 12.0))
+    anew = train_reward(dataset_of(panda, items), panda, QUICK, version=5, seed=1, previous=saturated)
+    assert anew.steps == QUICK.steps
+    assert anew.accuracy > 0.8
+
+
 @pytest.mark.parametrize("undone", ["d", "c", "p"])
 def test_undo_gives_the_model_that_would_have_been_learned_without_the_input(undone, result, panda, items):
     config = dataclasses.replace(QUICK, steps=30, warm_steps=15)

@@ -103,9 +103,11 @@ class Networks:
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             before.append(torch.baddbmm(bias, into[-1], weight))
             into.append(activate(self.activation, before[-1]))
-        # the last layer has one output: a weighted sum is faster than a product of matrices
-        last = (into[-1] * self.weights[-1].transpose(1, 2)).sum(dim=-1)
-        return last.add_(self.biases[-1][..., 0]).tanh_(), into, before
+        return self._last(into[-1]).tanh_(), into, before
+
+    def _last(self, hidden: Tensor) -> Tensor:
+        """Apply the last layer: it has one output, and a weighted sum is faster than a product of matrices."""
+        return (hidden * self.weights[-1].transpose(1, 2)).sum(dim=-1).add_(self.biases[-1][..., 0])
 
     def rewards(self, motions: Tensor) -> Tensor:
         """Compute each member's reward of each state.

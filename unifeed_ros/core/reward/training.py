@@ -23,6 +23,8 @@ from unifeed_ros.core.reward.losses import LossTerms, correction_loss, demonstra
 from unifeed_ros.core.reward.networks import Networks
 from unifeed_ros.core.robot import RobotModel
 
+LEAST_SLOPE = 0.05
+"""Mean slope of the output's tanh along a motion that was shown, under which a member is not gone on from [1]."""
 FRESH = 20
 """Alternatives of each demonstration and each correction that the accuracy is measured on."""
 
@@ -41,8 +43,9 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         config: Settings.
         version: Version of the new model.
         seed: Seed of everything random.
-        previous: Model to go on from, if the settings allow it, its inputs and sizes are the same, and all that it
-            learned from is still there: after an undo, training from scratch gives the model of what is left.
+        previous: Model to go on from, if the settings allow it, its inputs and sizes are the same, it can still learn
+            from what is new, and all that it learned from is still there: after an undo, training from scratch gives
+            the model of what is left.
         on_progress: Called now and then with the share of the steps that are done.
 
     Returns:
@@ -61,7 +64,7 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         networks = Networks(sizes, config.members, rng, config.activation)
         # a model that knows an input that was taken back since would keep a trace of it
         grown = previous is not None and set(previous.feedback_ids) <= {item.id for item in dataset.items}
-        warm = config.warm_steps > 0 and previous is not None and grown and networks.load(previous, buffer.inputs)
+        warm = config.warm_steps > 0 and previous is not None and grown and _take_over(networks, previous, buffer)
         steps = config.warm_steps if warm else config.steps
         _optimise(networks, buffer, config, steps, config.warm_learning_rate if warm else config.learning_rate,
                   rng, on_progress)
@@ -77,6 +80,22 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         loss_demonstrations=_mean(terms.demonstrations, len(buffer.demonstrated)),
         loss_corrections=_mean(terms.corrections, 2 * len(buffer.corrected)),
         loss_preferences=_mean(terms.preferences, len(buffer.better)))
+
+
+def _take_over(networks: Networks, previous: RewardEnsemble, buffer: RankingsBuffer) -> bool:
+    """Go on from a model, unless it does not fit, or could learn nothing where it is now told what is good.
+
+    Learned between one start and goal, all rewards elsewhere may be so near -1 that their tanh has no slope left.
+    """
+    if not networks.load(previous, buffer.inputs):
+        return False
+    good = buffer.shown[np.concatenate([buffer.demonstrated, buffer.corrected, buffer.better])]
+    rewards = networks.rewards(torch.from_numpy(good).expand(previous.members, *good.shape))
+    if (1.0 - rewards.square()).mean(dim=-1).min() > LEAST_SLOPE:
+        return True
+    for member in range(previous.members):
+        networks.restart(member)
+    return False
 
 
 def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig, steps: int, learning_rate: float,
