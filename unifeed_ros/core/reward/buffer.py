@@ -138,7 +138,7 @@ class _Filler:
         self._items, self._robot, self._waypoints, self._config, self._rng = items, robot, waypoints, config, rng
         self._names = input_names([item.context for item in items])
         self._shown: list[Inputs] = []
-        self._sampled: dict[int, Array] = {}
+        self._sampled: dict[tuple[int, str], Array] = {}
 
     def fill(self, demonstration_count: int, correction_count: int) -> RankingsBuffer:
         self._shown = []
@@ -173,9 +173,10 @@ class _Filler:
 
     def _sample(self, trajectory: Trajectory, sampler: Callable[[Trajectory], Array]) -> Array:
         """Sample a motion once, however many buffers hold it."""
-        if id(trajectory) not in self._sampled:
-            self._sampled[id(trajectory)] = sampler(trajectory)
-        return self._sampled[id(trajectory)]
+        key = (id(trajectory), sampler.__name__)
+        if key not in self._sampled:
+            self._sampled[key] = sampler(trajectory)
+        return self._sampled[key]
 
     def _states(self, trajectory: Trajectory) -> Array:
         return self._robot.tool_states(trajectory.resampled(self._waypoints))

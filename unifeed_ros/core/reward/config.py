@@ -19,7 +19,7 @@ class TrainingConfig:
     """Number of networks, at least 2 (disagreement needs two). More than the paper's three because the mean of three
     plans differently from seed to seed; with the smaller batch that each then sees, a step costs the same."""
     hidden: Sequence[int] = (48, 48)
-    """Widths of the hidden layers."""
+    """Widths of the hidden layers. Wider ones need more steps for as good a plan, and each takes longer."""
     activation: str = "leaky_relu"
     """Activation of the hidden layers: leaky_relu, leaky_softplus (without its kink) or tanh, whose
     members saturate and die at the learning rate of the others: give it 3e-3."""
@@ -51,7 +51,8 @@ class TrainingConfig:
     weight_penalty: float = 1e-3
     """Weight of the sum of squared weights of each member."""
     warm_steps: int = 90
-    """Steps when going on from the previous model; 0: always from scratch."""
+    """Steps when going on from the previous model; 0: always from scratch. It is gone on from as it is: mixed with new
+    weights (shrunk and perturbed), it planned worse after as many steps."""
     warm_learning_rate: float = 4e-3
     """Learning rate at the start when going on from the previous model."""
     alternatives: AlternativesConfig = field(default_factory=AlternativesConfig)
