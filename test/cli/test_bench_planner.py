@@ -20,14 +20,14 @@ def test_the_independent_check_finds_what_a_shorter_duration_breaks():
     robot, scene = RobotModel(load_robot(config_path("robots", "panda"))), load_scene(config_path("tasks", "table"))
     start, goal = endpoints(robot, scene)
     config = PlannerConfig(time_budget=60.0, starts=1)
-    bounds = motion_bounds(robot, scene, start, goal, config.arm_radius)
+    bounds = motion_bounds(robot, scene, start, goal, config)
     for duration, broken in ((3.0, False), (1.0, True)):
         problem = PlanningProblem(robot, None, start, goal, 3.0, bounds, config)
         plan = plan_motion(robot, None, start, goal, duration=3.0, scene=scene, config=config)
         hurried = plan.trajectory.__class__(
             joint_names=plan.trajectory.joint_names, times=plan.trajectory.times * duration / 3.0,
             positions=plan.trajectory.positions)
-        found = _violation(robot, problem, hurried, plan.waypoints)
+        found = _violation(robot, scene, problem, hurried, plan.waypoints)
         assert (found > 0.5) if broken else (found < 1e-3)
 
 

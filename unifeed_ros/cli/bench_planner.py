@@ -23,7 +23,7 @@ from unifeed_ros.core.planning.qp import SOLVERS
 from unifeed_ros.core.planning.starts import straight_line
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.robot import RobotModel, load_robot
-from unifeed_ros.core.scene import load_scene
+from unifeed_ros.core.scene import Scene, load_scene
 from unifeed_ros.core.types import Array, Trajectory
 from unifeed_ros.resources import config_path
 from unifeed_ros.simulation.planning_problems import PlanningPair, random_pairs, taught_reward
@@ -54,7 +54,7 @@ def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, confi
              peer_limit: float) -> dict[str, Any]:
     """Solve one problem with each solver, and by the peers too where they have a time limit."""
     reward = model.bind(pair.scene.context())
-    bounds = motion_bounds(robot, pair.scene, pair.start, pair.goal, config.arm_radius)
+    bounds = motion_bounds(robot, pair.scene, pair.start, pair.goal, config)
     problem = PlanningProblem(robot, reward, pair.start, pair.goal, pair.scene.duration, bounds, config)
     figures: dict[str, Any] = {}
     for solver in SOLVERS:
@@ -68,7 +68,8 @@ def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, confi
             chosen = plan
     figures.update(seconds=figures[f"{config.qp_solver}_s"], solved=chosen.success,
                    floor=_evaluation_time(problem, chosen) * chosen.iterations,
-                   violation=_violation(robot, problem, chosen.trajectory, chosen.waypoints) if chosen.success else 0.0)
+                   violation=_violation(robot, pair.scene, problem, chosen.trajectory, chosen.waypoints)
+                   if chosen.success else 0.0)
     if peer_limit:
         exact, rough = (solve_with_slsqp(problem, straight_line(problem), exact=e, limit=peer_limit)
                         for e in (True, False))
@@ -87,22 +88,24 @@ def _evaluation_time(problem: PlanningProblem, plan: Plan) -> float:
     times = []
     for _ in range(10):
         began = time.thread_time()
-        geometry = problem.points.evaluate(plan.waypoints)
-        problem.reward.value_and_gradient(geometry.states)
+        pose = problem.bounds.kinematics.evaluate(plan.waypoints)
+        problem.reward.value_and_gradient(pose.states)
         times.append(time.thread_time() - began)
     return float(np.median(times))
 
 
-def _violation(robot: RobotModel, problem: PlanningProblem, motion: Trajectory, waypoints: Array) -> float:
+def _violation(robot: RobotModel, scene: Scene, problem: PlanningProblem, motion: Trajectory,
+               waypoints: Array) -> float:
     """Check a motion at 1 kHz, apart from the planner's own check: largest excess over any limit [rad, 1, 1, m]."""
     duration, bounds = motion.duration, problem.bounds
     spline = CubicSpline(np.linspace(0.0, duration, len(waypoints)), waypoints, bc_type="clamped")
     times = np.linspace(0.0, duration, int(1000 * duration) + 1)
     q: Array = spline(times)
+    heights = robot.tool_states(q)[:, 2]
     return max(0.0, float(np.maximum(bounds.lower - q, q - bounds.upper).max()),
                float((np.abs(spline(times, 1)) / bounds.velocity).max() - 1.0),
                float((np.abs(spline(times, 2)) / bounds.acceleration).max() - 1.0),
-               float(bounds.floors[-1] - robot.tool_states(q)[:, 2].min()))
+               float(min(scene.floor, heights[0], heights[-1]) - heights.min()))
 
 
 def _summary(problems: list[dict[str, Any]]) -> dict[str, Any]:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from unifeed_ros.core.errors import ConfigError, InputError, PlanningError, ShapeError
-from unifeed_ros.core.planning.arm_points import ArmPoints
 from unifeed_ros.core.planning.check import check_motion, motion_bounds
 from unifeed_ros.core.planning.plan import PlannerConfig, plan_motion
 from unifeed_ros.core.robot import RobotModel
@@ -32,8 +31,8 @@ def test_motion_for_a_learned_like_reward_is_followable(case, rewards, seed):
     np.testing.assert_allclose(motion.positions[[0, -1]], [case.start, case.goal], atol=1e-9)
     np.testing.assert_allclose(motion.velocities[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(motion.resampled(CONFIG.waypoints), result.waypoints, atol=2e-3)
-    bounds = motion_bounds(case.robot, case.scene, case.start, case.goal, CONFIG.arm_radius)
-    assert check_motion(motion, bounds, ArmPoints(case.robot)).ok
+    bounds = motion_bounds(case.robot, case.scene, case.start, case.goal, CONFIG)
+    assert check_motion(motion, bounds).ok
 
 
 def test_motion_is_better_than_the_straight_line(case, rewards):
