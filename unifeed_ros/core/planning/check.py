@@ -10,7 +10,7 @@ import numpy as np
 from unifeed_ros.core.errors import PlanningError
 from unifeed_ros.core.planning.clearance import clearance_constraint
 from unifeed_ros.core.planning.config import PlannerConfig
-from unifeed_ros.core.planning.constraints import Constraint, joined
+from unifeed_ros.core.planning.constraints import NEAR, Constraint
 from unifeed_ros.core.planning.heights import height_constraint
 from unifeed_ros.core.planning.kinematics import Kinematics
 from unifeed_ros.core.planning.tool_limits import (
@@ -172,11 +172,13 @@ def check_motion(trajectory: Trajectory, bounds: MotionBounds) -> MotionCheck:
     problems += [f"{names[j]} reaches {values[k, j]:.3f} {unit} of {limit[j]:.3f} at {times[k]:.2f} s"
                  for values, limit, unit in rates for j, k in enumerate(np.argmax(values, axis=0).tolist())
                  if values[k, j] > limit[j] * (1.0 + TOLERANCE)]
-    over = joined(bounds.constraints, bounds.kinematics.evaluate(np.ascontiguousarray(q)), np.ascontiguousarray(v))
-    speed_ratio, column = 0.0, 0
+    pose, v = bounds.kinematics.evaluate(np.ascontiguousarray(q)), np.ascontiguousarray(v)
+    speed_ratio, shortfalls = 0.0, []
     for one in bounds.constraints:
-        values = over.values[:, column: column + len(one.names)]
-        column += len(one.names)
+        values = one.evaluate(pose, v, 0.0).values - one.bounds
+        if one.at_end:
+            values[:-1] = np.inf
+        shortfalls.append(np.maximum(-values, 0.0))
         if one.speeds is not None:
             speed_ratio = max(speed_ratio, float((1.0 - values / one.speeds).max()))
         problems += [f"{one.say(name, values[k, p] + one.bounds[p], one.bounds[p])} at {times[k]:.2f} s"
@@ -185,13 +187,13 @@ def check_motion(trajectory: Trajectory, bounds: MotionBounds) -> MotionCheck:
     velocity, acceleration, jerk_ratio = (float((values / limit).max()) for values, limit, _ in rates)
     return MotionCheck(
         position_excess=excess.max(axis=0), velocity_ratio=velocity, acceleration_ratio=acceleration,
-        jerk_ratio=jerk_ratio, speed_ratio=speed_ratio, shortfalls=np.maximum(-over.values, 0.0),
+        jerk_ratio=jerk_ratio, speed_ratio=speed_ratio, shortfalls=np.concatenate(shortfalls, axis=1),
         problems=tuple(problems))
 
 
 def _allowing(one: Constraint, kinematics: Kinematics, ends: Array) -> Constraint:
     """Lower bounds to what the ends of a motion have, down to the least that is allowed."""
-    values = one.evaluate(kinematics.evaluate(ends), np.zeros(ends.shape)).values
+    values = one.evaluate(kinematics.evaluate(ends), np.zeros(ends.shape), NEAR).values
     worst = int(np.argmin(values[0]))
     if values[0, worst] < one.least:
         raise PlanningError("start of the motion: " + one.say(one.names[worst], values[0, worst], one.least),

@@ -18,8 +18,6 @@ from unifeed_ros.core.zones import Zone
 
 Indices = NDArray[np.intp]
 
-NEAR = 0.1
-"""Distance over the bound from which on a pair is left out [m]."""
 _MARGIN = 2e-3
 _TABLE = "the table"
 
@@ -54,16 +52,17 @@ def clearance_constraint(robot: RobotModel, zones: Mapping[str, Zone], table_hei
     names = [*(f"{capsules[k].name} to {_TABLE}" for k, _ in over_table),
              *(f"{things[i].hull.name} to {things[j].hull.name}" for i, j in pairs)]
     first, second = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    segments = _by_body([t.hull for t in things])
     radii, reaches = np.array([t.hull.radius for t in things]), np.array([t.hull.reach for t in things])
 
-    def evaluate(pose: ArmPose, velocities: Array) -> Values:
+    def evaluate(pose: ArmPose, velocities: Array, near: float) -> Values:
         count, n = velocities.shape
-        ends = np.stack([[pose.point(t.hull.body, end) for end in t.hull.ends] for t in things])  # (T, 2, N, 3)
-        table = _over_table(pose, capsules, over_table, ends, table_height)
+        ends = np.empty((len(things), 2, count, 3))
+        for body, (members, local) in segments.items():
+            ends[members] = pose.points(body, local).reshape(-1, 2, count, 3)
+        table = _over_table(pose, capsules, over_table, ends, table_height, distance + near)
         values, jacobians = np.full((count, len(pairs)), np.inf), np.zeros((count, len(pairs), n))
-        apart = np.maximum(_lower_bound(ends[first], ends[second]) - radii[first, None] - reaches[second, None],
-                           _lower_bound(ends[second], ends[first]) - radii[second, None] - reaches[first, None])
-        pair, sample = np.nonzero(apart < distance + NEAR)
+        pair, sample = _close(ends, radii, reaches, first, second, distance + near)
         if len(pair):
             found = _distances(pose, things, first[pair], second[pair], sample, ends)
             values[sample, pair] = found.distances
@@ -85,33 +84,51 @@ class _Found(NamedTuple):
     normals: Array
 
 
+def _by_body(hulls: list[Capsule]) -> dict[int, tuple[list[int], Array]]:
+    """Sort capsules by the joint that moves them: their indices, and their ends, shape (2 L, 3) [m]."""
+    owners = {hull.body: [k for k, one in enumerate(hulls) if one.body == hull.body] for hull in hulls}
+    return {body: (members, np.concatenate([hulls[k].ends for k in members])) for body, members in owners.items()}
+
+
 def _can_come_down(capsule: Capsule, end: Array) -> bool:
     """Tell whether an end of a capsule can come down to the table that the arm stands on: a shoulder cannot."""
     return capsule.body > 2 or (capsule.body == 2 and float(np.linalg.norm(end)) > capsule.radius)
 
 
 def _over_table(pose: ArmPose, capsules: tuple[Capsule, ...], chosen: list[tuple[int, int]], ends: Array,
-                table_height: float) -> Values:
+                table_height: float, near: float) -> Values:
     """Compute the heights of capsules' ends over the table; no gradient where they are far."""
     count, n = len(pose.tool), pose.axes.shape[1]
     which = np.array(chosen, dtype=np.intp).reshape(-1, 2)
     values = ends[which[:, 0], which[:, 1], :, 2].T - np.array([capsules[k].radius for k, _ in chosen]) - table_height
     jacobians = np.zeros((count, len(chosen), n))
     for p, (k, end) in enumerate(chosen):
-        samples = np.flatnonzero(values[:, p] < NEAR)
+        samples = np.flatnonzero(values[:, p] < near)
         if len(samples):
             up = np.tile([0.0, 0.0, 1.0], (len(samples), 1))
             jacobians[samples, p] = point_gradient(pose, samples, capsules[k].body, ends[k, end, samples], up)
-    return Values(np.where(values < NEAR, values, np.inf), jacobians)
+    return Values(np.where(values < near, values, np.inf), jacobians)
 
 
-def _lower_bound(segments: Array, others: Array) -> Array:
-    """Compute distances from segments, shape (Q, 2, N, 3), to the middles of others, shape (Q, N)."""
-    along, away = segments[:, 1] - segments[:, 0], others.mean(axis=1) - segments[:, 0]
-    squared = (along**2).sum(axis=-1)
-    share = (along * away).sum(axis=-1) / np.maximum(squared, 1e-12)
-    away -= np.minimum(np.maximum(share, 0.0), 1.0)[..., None] * along
-    return np.sqrt((away**2).sum(axis=-1))
+def _close(ends: Array, radii: Array, reaches: Array, first: Indices, second: Indices,
+           near: float) -> tuple[Indices, Indices]:
+    """Find pairs and samples that may be nearer than a distance: first by spheres, then by segments and spheres."""
+    middles = ends.mean(axis=1)
+    away = middles[first] - middles[second]
+    limit = reaches[first] + reaches[second] + near
+    pair, sample = np.nonzero(np.einsum("qni,qni->qn", away, away) < (np.maximum(limit, 0.0) ** 2)[:, None])
+    one, other = first[pair], second[pair]
+    apart = np.maximum(_to_segment(ends[one, :, sample], middles[other, sample]) - radii[one] - reaches[other],
+                       _to_segment(ends[other, :, sample], middles[one, sample]) - radii[other] - reaches[one])
+    return pair[apart < near], sample[apart < near]
+
+
+def _to_segment(segments: Array, points: Array) -> Array:
+    """Compute distances from segments, shape (K, 2, 3), to points, shape (K, 3)."""
+    along, away = segments[:, 1] - segments[:, 0], points - segments[:, 0]
+    share = (along * away).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12)
+    away -= np.minimum(np.maximum(share, 0.0), 1.0)[:, None] * along
+    return np.sqrt((away**2).sum(axis=1))
 
 
 def _distances(pose: ArmPose, things: list[_Thing], first: Indices, second: Indices, samples: Indices,

@@ -11,6 +11,9 @@ import numpy as np
 from unifeed_ros.core.planning.kinematics import ArmPose
 from unifeed_ros.core.types import Array
 
+NEAR = 0.1
+"""Distance over a bound from which on the search may leave a value out [m]."""
+
 
 class Values(NamedTuple):
     """P values at N postures of n joints."""
@@ -35,8 +38,9 @@ class Constraint:
     """What the bounds may be lowered to where the start itself is lower; below it no motion may start."""
     margin: float
     """Distance from the bounds that way-points keep, for the spline between them."""
-    evaluate: Callable[[ArmPose, Array], Values]
-    """Values and derivatives from the arm's pose and the joint velocities, shape (N, n) [rad/s]."""
+    evaluate: Callable[[ArmPose, Array, float], Values]
+    """Values and derivatives from the arm's pose and the joint velocities, shape (N, n) [rad/s]; values that are
+    farther over their bounds than the last argument may be left out as inf."""
     say: Callable[[str, float, float], str]
     """Clause about a value of that name that misses its bound."""
     speeds: Array | None = None
@@ -59,7 +63,7 @@ def joined(constraints: tuple[Constraint, ...], pose: ArmPose, velocities: Array
     parts = []
     count, n = velocities.shape
     for one in constraints:
-        values, jacobians, by_rate = one.evaluate(pose, velocities)
+        values, jacobians, by_rate = one.evaluate(pose, velocities, NEAR)
         values = values - one.bounds
         if one.at_end:
             values[:-1] = np.inf

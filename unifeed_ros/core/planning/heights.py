@@ -26,8 +26,8 @@ def height_constraint(robot: RobotModel, scene: Scene, arm_radius: float) -> Con
     radii = np.array([arm_radius] * len(joints) + [0.0])
     moved_by = np.array(joints)[:, None] >= np.arange(1, robot.n + 1)
 
-    def evaluate(pose: ArmPose, velocities: Array) -> Values:
-        del velocities
+    def evaluate(pose: ArmPose, velocities: Array, near: float) -> Values:
+        del velocities, near
         centres = pose.origins[joints].transpose(1, 0, 2)  # (N, P - 1, 3)
         arms = centres[:, :, None] - pose.origins[1:].transpose(1, 0, 2)[:, None]
         axes = pose.axes[:, None]

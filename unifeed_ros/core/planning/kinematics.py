@@ -41,17 +41,18 @@ class ArmPose(NamedTuple):
         """Derivatives of the tool states, shape (N, 6, n) [m/rad, 1/rad]."""
         return np.concatenate([self.tool_jacobian, self.axis_jacobian], axis=1)
 
-    def point(self, body: int, local: Array) -> Array:
-        """Compute where a point of a body is.
+    def points(self, body: int, local: Array) -> Array:
+        """Compute where points of a body are.
 
         Args:
             body: Joint that moves the body; 0: the base.
-            local: The point in the joint's frame, shape (3,) [m].
+            local: The points in the joint's frame, shape (L, 3) [m].
 
         Returns:
-            Positions, shape (N, 3) [m].
+            Positions, shape (L, N, 3) [m].
         """
-        return self.rotations[body] @ local + self.origins[body]
+        turned = (self.rotations[body].reshape(-1, 3) @ local.T).T
+        return turned.reshape(len(local), -1, 3) + self.origins[body]
 
 
 class Kinematics:

@@ -27,8 +27,8 @@ def workspace_constraint(box: tuple[float, ...]) -> Constraint:
     """
     low, high = np.array(box[:3]), np.array(box[3:])
 
-    def evaluate(pose: ArmPose, velocities: Array) -> Values:
-        del velocities
+    def evaluate(pose: ArmPose, velocities: Array, near: float) -> Values:
+        del velocities, near
         return Values(np.concatenate([pose.tool - low, high - pose.tool], axis=1),
                       np.concatenate([pose.tool_jacobian, -pose.tool_jacobian], axis=1))
 
@@ -44,8 +44,8 @@ def cone_constraint(cones: Mapping[str, Cone]) -> Constraint:
     limits = {name: cone.angle for name, cone in cones.items()}
     cosines = np.cos(list(limits.values()))
 
-    def evaluate(pose: ArmPose, velocities: Array) -> Values:
-        del velocities
+    def evaluate(pose: ArmPose, velocities: Array, near: float) -> Values:
+        del velocities, near
         return Values(_CONE_SCALE * (pose.tool_axis @ directions.T - cosines),
                       _CONE_SCALE * np.einsum("ci,kij->kcj", directions, pose.axis_jacobian))
 
@@ -61,7 +61,8 @@ def cone_constraint(cones: Mapping[str, Cone]) -> Constraint:
 def speed_constraint(limit: float) -> Constraint:
     """Limit the tool's speed: limit - |J q'|."""
 
-    def evaluate(pose: ArmPose, velocities: Array) -> Values:
+    def evaluate(pose: ArmPose, velocities: Array, near: float) -> Values:
+        del near
         speed, by_posture, by_rate = tool_speed(pose, velocities)
         return Values(limit - speed[:, None], -by_posture[:, None], -by_rate[:, None])
 
@@ -75,7 +76,8 @@ def slow_zone_constraint(zones: Mapping[str, Zone]) -> Constraint:
     """Limit the tool's speed inside zones: the larger one of the distance to the zone and what is left of its speed."""
     limits = np.array([zone.speed for zone in zones.values()])
 
-    def evaluate(pose: ArmPose, velocities: Array) -> Values:
+    def evaluate(pose: ArmPose, velocities: Array, near: float) -> Values:
+        del near
         speed, by_posture, by_rate = tool_speed(pose, velocities)
         values, jacobians, rates = [], [], []
         for zone in zones.values():
@@ -107,8 +109,8 @@ def end_constraint(position: Array, axis: Array | None, tolerance: float) -> Con
     target = position if axis is None else np.concatenate([position, axis])
     names = ("x", "y", "z", "axis_x", "axis_y", "axis_z")[: len(target)]
 
-    def evaluate(pose: ArmPose, velocities: Array) -> Values:
-        del velocities
+    def evaluate(pose: ArmPose, velocities: Array, near: float) -> Values:
+        del velocities, near
         away, slope = pose.states[:, : len(target)] - target, pose.state_jacobians[:, : len(target)]
         return Values(tolerance - np.concatenate([away, -away], axis=1), np.concatenate([-slope, slope], axis=1))
 
