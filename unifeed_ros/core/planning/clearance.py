@@ -55,33 +55,50 @@ def clearance_constraint(robot: RobotModel, zones: Mapping[str, Zone], table_hei
     segments = _by_body([t.hull for t in things])
     radii, reaches = np.array([t.hull.radius for t in things]), np.array([t.hull.reach for t in things])
 
+    tips, ends_of_tips = np.array(over_table, dtype=np.intp).reshape(-1, 2).T
+    owners, rounding = np.array([t.hull.body for t in things]), radii[tips] + table_height
+
     def evaluate(pose: ArmPose, velocities: Array, near: float) -> Values:
         count, n = velocities.shape
         ends = np.empty((len(things), 2, count, 3))
         for body, (members, local) in segments.items():
             ends[members] = pose.points(body, local).reshape(-1, 2, count, 3)
-        table = _over_table(pose, capsules, over_table, ends, table_height, distance + near)
-        values, jacobians = np.full((count, len(pairs)), np.inf), np.zeros((count, len(pairs), n))
+        values, jacobians = np.full((count, len(names)), np.inf), np.zeros((count, len(names), n))
+        heights = ends[tips, ends_of_tips, :, 2] - rounding[:, None]
+        tip, at = np.nonzero(heights < distance + near)
+        values[at, tip] = heights[tip, at]
+        low = _Side(owners[tips[tip]], ends[tips[tip], ends_of_tips[tip], at], np.tile([0.0, 0.0, 1.0], (len(tip), 1)))
+        _add_gradients(jacobians, pose, at, tip, low)
         pair, sample = _close(ends, radii, reaches, first, second, distance + near)
         if len(pair):
-            found = _distances(pose, things, first[pair], second[pair], sample, ends)
-            values[sample, pair] = found.distances
-            jacobians[sample, pair] = _gradients(pose, things, first[pair], second[pair], sample, found)
-        return Values(np.concatenate([table.values, values], axis=1),
-                      np.concatenate([table.jacobians, jacobians], axis=1))
+            column, one, other = pair + len(tips), first[pair], second[pair]
+            values[sample, column], points, others, normals = _distances(pose, things, one, other, sample, ends)
+            _add_gradients(jacobians, pose, sample, column, _Side(owners[one], points, -normals))
+            _add_gradients(jacobians, pose, sample, column, _Side(owners[other], others, normals))
+        return Values(values, jacobians)
 
     return Constraint(
         names=tuple(names), bounds=np.full(len(names), distance), least=0.0, margin=_MARGIN, evaluate=evaluate,
         say=lambda name, value, bound: f"{name}: distance {value:.4f} m, at least {bound:.4f} m")
 
 
-class _Found(NamedTuple):
-    """K signed distances with their nearest points and the direction from the first to the second."""
+class _Side(NamedTuple):
+    """One side of K distances."""
 
-    distances: Array
-    ones: Array
-    others: Array
-    normals: Array
+    bodies: Indices
+    """Joint that moves it; 0: none."""
+    points: Array
+    """The point that is nearest to the other side, shape (K, 3) [m]."""
+    directions: Array
+    """Direction in which the point's motion adds to the distance, shape (K, 3)."""
+
+
+def _add_gradients(jacobians: Array, pose: ArmPose, samples: Indices, columns: Indices, side: _Side) -> None:
+    """Add to the distances' derivatives what one side's motion does."""
+    for body in np.unique(side.bodies[side.bodies > 0]).tolist():
+        rows = np.flatnonzero(side.bodies == body)
+        jacobians[samples[rows], columns[rows]] += point_gradient(
+            pose, samples[rows], body, side.points[rows], side.directions[rows])
 
 
 def _by_body(hulls: list[Capsule]) -> dict[int, tuple[list[int], Array]]:
@@ -93,21 +110,6 @@ def _by_body(hulls: list[Capsule]) -> dict[int, tuple[list[int], Array]]:
 def _can_come_down(capsule: Capsule, end: Array) -> bool:
     """Tell whether an end of a capsule can come down to the table that the arm stands on: a shoulder cannot."""
     return capsule.body > 2 or (capsule.body == 2 and float(np.linalg.norm(end)) > capsule.radius)
-
-
-def _over_table(pose: ArmPose, capsules: tuple[Capsule, ...], chosen: list[tuple[int, int]], ends: Array,
-                table_height: float, near: float) -> Values:
-    """Compute the heights of capsules' ends over the table; no gradient where they are far."""
-    count, n = len(pose.tool), pose.axes.shape[1]
-    which = np.array(chosen, dtype=np.intp).reshape(-1, 2)
-    values = ends[which[:, 0], which[:, 1], :, 2].T - np.array([capsules[k].radius for k, _ in chosen]) - table_height
-    jacobians = np.zeros((count, len(chosen), n))
-    for p, (k, end) in enumerate(chosen):
-        samples = np.flatnonzero(values[:, p] < near)
-        if len(samples):
-            up = np.tile([0.0, 0.0, 1.0], (len(samples), 1))
-            jacobians[samples, p] = point_gradient(pose, samples, capsules[k].body, ends[k, end, samples], up)
-    return Values(np.where(values < near, values, np.inf), jacobians)
 
 
 def _close(ends: Array, radii: Array, reaches: Array, first: Indices, second: Indices,
@@ -132,31 +134,21 @@ def _to_segment(segments: Array, points: Array) -> Array:
 
 
 def _distances(pose: ArmPose, things: list[_Thing], first: Indices, second: Indices, samples: Indices,
-               ends: Array) -> _Found:
+               ends: Array) -> tuple[Array, Array, Array, Array]:
+    """Let coal compute K signed distances, nearest points of both, and directions from the first to the second."""
     request, result = coal.DistanceRequest(), coal.DistanceResult()
-    out = np.empty((len(samples), 10))
-    middles = ends.mean(axis=1)
+    distances, points = np.empty(len(samples)), np.empty((3, len(samples), 3))
+    placed: dict[tuple[int, int], Any] = {}
     for k, (i, j, at) in enumerate(zip(first.tolist(), second.tolist(), samples.tolist(), strict=True)):
-        one, other = things[i], things[j]
+        for m in (i, j):
+            if (m, at) not in placed:
+                turn = pose.rotations[things[m].hull.body, at] @ things[m].turn
+                placed[m, at] = coal.Transform3s(turn, 0.5 * (ends[m, 0, at] + ends[m, 1, at]))
         result.clear()
-        places = [coal.Transform3s(pose.rotations[t.hull.body, at] @ t.turn, middles[m, at])
-                  for t, m in ((one, i), (other, j))]
-        out[k, 0] = coal.distance(one.shape, places[0], other.shape, places[1], request, result)
-        out[k, 1:4], out[k, 4:7] = result.getNearestPoint1(), result.getNearestPoint2()
-        out[k, 7:] = result.normal
-    return _Found(out[:, 0], out[:, 1:4], out[:, 4:7], out[:, 7:])
-
-
-def _gradients(pose: ArmPose, things: list[_Thing], first: Indices, second: Indices, samples: Indices,
-               found: _Found) -> Array:
-    gradients = np.zeros((len(samples), pose.axes.shape[1]))
-    body = np.array([t.hull.body for t in things])
-    for members, points, sign in ((first, found.ones, -1.0), (second, found.others, 1.0)):
-        owners = body[members]
-        for owner in np.unique(owners[owners > 0]).tolist():
-            rows = np.flatnonzero(owners == owner)
-            gradients[rows] += point_gradient(pose, samples[rows], owner, points[rows], sign * found.normals[rows])
-    return gradients
+        distances[k] = coal.distance(things[i].shape, placed[i, at], things[j].shape, placed[j, at], request, result)
+        points[0, k], points[1, k] = result.getNearestPoint1(), result.getNearestPoint2()
+        points[2, k] = result.normal
+    return distances, points[0], points[1], points[2]
 
 
 def _arm_thing(capsule: Capsule) -> _Thing:

@@ -11,7 +11,7 @@ import numpy as np
 from unifeed_ros.core.planning.kinematics import ArmPose
 from unifeed_ros.core.types import Array
 
-NEAR = 0.1
+NEAR = 0.06
 """Distance over a bound from which on the search may leave a value out [m]."""
 
 

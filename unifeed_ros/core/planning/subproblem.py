@@ -14,6 +14,9 @@ from unifeed_ros.core.types import Array
 _TOLERANCE = 1e-5
 """Of the quadratic programmes' solutions; a tighter one costs a tenth of the time and gains nothing."""
 
+_MOST = 6
+"""Clearances of one way-point that a model knows, the smallest ones; what it leaves out, the merit function sees."""
+
 
 class Step(NamedTuple):
     """Solution of one quadratic model."""
@@ -71,7 +74,8 @@ class Subproblem:
         if by_rate is not None:
             reach += radius * self._fastest * np.abs(by_rate).sum(axis=2)
         clearances = np.where(at.clearances > reach, np.inf, at.clearances)
-        self._width = max(self._width, int(np.isfinite(clearances).sum(axis=1).max()))
+        most = min(int(np.isfinite(clearances).sum(axis=1).max()), _MOST)
+        self._width = max(self._width, most)
         picked = np.argsort(clearances, axis=1)[:, : self._width]
         clearances, jacobians = np.take_along_axis(clearances, picked, 1), at.clearance_jacobians
         return (clearances, np.take_along_axis(jacobians, picked[..., None], 1),
