@@ -15,7 +15,8 @@ _TOLERANCE = 1e-5
 """Of the quadratic programmes' solutions; a tighter one costs a tenth of the time and gains nothing."""
 
 _MOST = 6
-"""Clearances of one way-point that a model knows, the smallest ones; what it leaves out, the merit function sees."""
+"""Clearances of one way-point that a model knows, the smallest ones, those of the goal on top; what it leaves out, the
+merit function sees."""
 
 
 class Step(NamedTuple):
@@ -40,7 +41,7 @@ class Subproblem:
         self._problem = problem
         self._solver = make_solver(problem.qp_solver, problem.qp_constants(), _TOLERANCE)
         self._fastest = float(np.abs(problem.velocity).sum(axis=1).max())
-        self._width = 0
+        self._width, self._most = 0, _MOST + sum(len(one.names) for one in problem.bounds.constraints if one.at_end)
 
     def solve(self, at: Evaluation, blocks: Array, radius: float, penalty: float) -> Step:
         """Find the step that the model likes best.
@@ -74,7 +75,7 @@ class Subproblem:
         if by_rate is not None:
             reach += radius * self._fastest * np.abs(by_rate).sum(axis=2)
         clearances = np.where(at.clearances > reach, np.inf, at.clearances)
-        most = min(int(np.isfinite(clearances).sum(axis=1).max()), _MOST)
+        most = min(int(np.isfinite(clearances).sum(axis=1).max()), self._most)
         self._width = max(self._width, most)
         picked = np.argsort(clearances, axis=1)[:, : self._width]
         clearances, jacobians = np.take_along_axis(clearances, picked, 1), at.clearance_jacobians
