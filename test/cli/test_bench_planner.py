@@ -20,26 +20,28 @@ def test_the_independent_check_finds_what_a_shorter_duration_breaks():
     robot, scene = RobotModel(load_robot(config_path("robots", "panda"))), load_scene(config_path("tasks", "table"))
     start, goal = endpoints(robot, scene)
     config = PlannerConfig(time_budget=60.0, starts=1)
-    bounds = motion_bounds(robot, scene, start, goal, config.arm_radius)
+    bounds = motion_bounds(robot, scene, start, goal, config)
     for duration, broken in ((3.0, False), (1.0, True)):
         problem = PlanningProblem(robot, None, start, goal, 3.0, bounds, config)
         plan = plan_motion(robot, None, start, goal, duration=3.0, scene=scene, config=config)
         hurried = plan.trajectory.__class__(
             joint_names=plan.trajectory.joint_names, times=plan.trajectory.times * duration / 3.0,
             positions=plan.trajectory.positions)
-        found = _violation(robot, problem, hurried, plan.waypoints)
+        found = _violation(robot, scene, problem, hurried, plan.waypoints)
         assert (found > 0.5) if broken else (found < 1e-3)
 
 
 def test_summary_takes_medians_and_counts():
     peers = {name: SlsqpResult(np.zeros((2, 1)), seconds, seconds < 5.0) for name, seconds in
              (("exact", 2.0), ("fd", 8.0))}
-    problems = [{"seconds": s, "piqp_s": s, "solved": s < 0.3, "floor": 0.01, "violation": s / 100} for s in
+    problems = [{"seconds": s, "piqp_s": s, "solved": s < 0.3, "floor": 0.01, "violation": s / 100,
+                 "first": s / 10, "touching": 0, "message": "late"} for s in
                 (0.1, 0.2, 0.3)]
     problems[1] |= {**peers, "gap": 0.01, "own_s": 0.4, "osqp_s": 1.0}
     summary = _summary(problems)
     assert (summary["median_s"], summary["own_s"], summary["solved"], summary["problems"]) == (0.2, 0.4, 2, 3)
     assert (summary["ratio_exact"], summary["ratio_fd"]) == pytest.approx((10.0, 40.0))
     assert (summary["slsqp_exact_converged"], summary["slsqp_fd_converged"], summary["peers"]) == (1, 0, 1)
+    assert (summary["first_feasible_s"], summary["touching"], summary["failures"]) == (pytest.approx(0.02), 0, ["late"])
     assert summary["worst_violation"] == pytest.approx(0.003)
     assert "x40" in _line({"robot": "panda", "task": "table", "waypoints": 20, **summary})

@@ -12,6 +12,9 @@ from unifeed_ros.core.planning.problem import Evaluation, PlanningProblem
 from unifeed_ros.core.planning.sqp import merit
 from unifeed_ros.core.types import Array
 
+_FAR = 1.0
+"""Clearance of what is far away [m]."""
+
 
 class SlsqpResult(NamedTuple):
     """What SLSQP found."""
@@ -36,6 +39,8 @@ class _Evaluator:
         self.end = time.thread_time() + limit
         self.last: tuple[Array, Evaluation] | None = None
         self.best: Evaluation | None = None
+        self.near = np.zeros(0, dtype=np.intp)
+        """Constraints that are near at the start; SLSQP, which is dense, is spared the others."""
 
     def __call__(self, x: Array) -> Evaluation:
         if time.thread_time() > self.end:
@@ -52,11 +57,17 @@ class _Evaluator:
         at = self(x)
         return (at.reward_gradients + at.roughness_gradient).ravel()
 
+    def clearances(self, x: Array) -> Array:
+        return np.minimum(self(x).clearances[:, self.near], _FAR).ravel()
+
     def clearance_jacobian(self, x: Array) -> Array:
-        jacobians = self(x).clearance_jacobians
+        at = self(x)
+        jacobians = at.clearance_jacobians[:, self.near]
         m, points, n = jacobians.shape
         dense = np.zeros((m, points, m, n))
         dense[np.arange(m), :, np.arange(m)] = jacobians
+        if at.rate_jacobians is not None:
+            dense += at.rate_jacobians[:, self.near, None] * self.problem.velocity[:, None, :, None]
         return dense.reshape(m * points, m * n)
 
 
@@ -74,12 +85,11 @@ def solve_with_slsqp(problem: PlanningProblem, start: Array, *, exact: bool, lim
     first = start[problem.free].ravel()
     zero = problem.rate_shares(problem.complete(np.zeros(at.shape))).ravel()
     rates = np.kron(problem.rates[:, problem.free], np.eye(problem.joints)) / problem.rate_limits.ravel()[:, None]
-    lower, upper = (np.tile(b, at.shape[0]) for b in (problem.bounds.lower, problem.bounds.upper))
-    heights = NonlinearConstraint(lambda x: at(x).clearances.ravel(), 0.0, np.inf,
-                                  jac=at.clearance_jacobian if exact else "2-point")
+    lower, upper = (np.tile(b, at.shape[0]) for b in (problem.lower, problem.upper))
+    heights = NonlinearConstraint(at.clearances, 0.0, np.inf, jac=at.clearance_jacobian if exact else "2-point")
     converged = False
     try:
-        at(first)
+        at.near = np.flatnonzero(np.isfinite(at(first).clearances).any(axis=0))
         converged = bool(minimize(
             lambda x: at(x).cost, first, method="SLSQP", jac=at.gradient if exact else "2-point",
             bounds=list(zip(lower, upper, strict=True)),

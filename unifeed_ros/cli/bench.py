@@ -48,6 +48,9 @@ def _add_planner_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--task", help="only this task (default: table, laptop, cup)")
     parser.add_argument("--pairs", type=int, default=50, help="start-goal pairs a task (default: 50)")
     parser.add_argument("--peer-pairs", type=int, default=5, help="pairs that the peers solve too (default: 5)")
+    parser.add_argument("--zones", action="store_true",
+                        help="a laptop's box and a person's capsule that the whole arm keeps out of; plans are checked "
+                             "with the arm's meshes too")
     parser.add_argument("--peer-limit", type=float, default=60.0,
                         help="processor time after which SLSQP is ended [s] (default: 60)")
 

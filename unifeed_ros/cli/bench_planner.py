@@ -23,11 +23,16 @@ from unifeed_ros.core.planning.qp import SOLVERS
 from unifeed_ros.core.planning.starts import straight_line
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.robot import RobotModel, load_robot
-from unifeed_ros.core.scene import load_scene
+from unifeed_ros.core.scene import Scene, load_scene
 from unifeed_ros.core.types import Array, Trajectory
+from unifeed_ros.core.zones import Zone
 from unifeed_ros.resources import config_path
 from unifeed_ros.simulation.planning_problems import PlanningPair, random_pairs, taught_reward
+from unifeed_ros.simulation.touching import MeshScene
 
+ZONES = {"laptop": Zone(shape="box", position=np.array([0.45, -0.05, 0.12]), size=np.array([0.3, 0.2, 0.24])),
+         "person": Zone(shape="capsule", position=np.array([0.8, 0.25, 0.6]), size=np.array([0.15, 1.2]))}
+"""Beside and on the way of the tasks' motions."""
 ROBOTS, TASKS, WAYPOINTS = ("panda", "ur10"), ("table", "laptop", "cup"), (20, 40)
 
 
@@ -37,6 +42,7 @@ def run(options: argparse.Namespace) -> int:
     for name, task in itertools.product(options.robot or ROBOTS, [options.task] if options.task else TASKS):
         robot, scene = RobotModel(load_robot(config_path("robots", name))), load_scene(config_path("tasks", task))
         model = taught_reward(robot, scene)
+        scene = replace(scene, zones=ZONES if options.zones else {})
         pairs = list(itertools.islice(random_pairs(robot, scene, PlannerConfig()), options.pairs))
         for count in WAYPOINTS:
             problems = [_measure(robot, model, pair, PlannerConfig(waypoints=count, time_budget=60.0),
@@ -54,7 +60,7 @@ def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, confi
              peer_limit: float) -> dict[str, Any]:
     """Solve one problem with each solver, and by the peers too where they have a time limit."""
     reward = model.bind(pair.scene.context())
-    bounds = motion_bounds(robot, pair.scene, pair.start, pair.goal, config.arm_radius)
+    bounds = motion_bounds(robot, pair.scene, pair.start, pair.goal, config)
     problem = PlanningProblem(robot, reward, pair.start, pair.goal, pair.scene.duration, bounds, config)
     figures: dict[str, Any] = {}
     for solver in SOLVERS:
@@ -68,7 +74,10 @@ def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, confi
             chosen = plan
     figures.update(seconds=figures[f"{config.qp_solver}_s"], solved=chosen.success,
                    floor=_evaluation_time(problem, chosen) * chosen.iterations,
-                   violation=_violation(robot, problem, chosen.trajectory, chosen.waypoints) if chosen.success else 0.0)
+                   violation=_violation(robot, pair.scene, problem, chosen.trajectory, chosen.waypoints)
+                   if chosen.success else 0.0, first=chosen.first_feasible, message=chosen.message,
+                   touching=MeshScene(robot, pair.scene).touching(chosen.trajectory.positions)
+                   if chosen.success and pair.scene.zones else 0)
     if peer_limit:
         exact, rough = (solve_with_slsqp(problem, straight_line(problem), exact=e, limit=peer_limit)
                         for e in (True, False))
@@ -87,22 +96,24 @@ def _evaluation_time(problem: PlanningProblem, plan: Plan) -> float:
     times = []
     for _ in range(10):
         began = time.thread_time()
-        geometry = problem.points.evaluate(plan.waypoints)
-        problem.reward.value_and_gradient(geometry.states)
+        pose = problem.bounds.kinematics.evaluate(plan.waypoints)
+        problem.reward.value_and_gradient(pose.states)
         times.append(time.thread_time() - began)
     return float(np.median(times))
 
 
-def _violation(robot: RobotModel, problem: PlanningProblem, motion: Trajectory, waypoints: Array) -> float:
+def _violation(robot: RobotModel, scene: Scene, problem: PlanningProblem, motion: Trajectory,
+               waypoints: Array) -> float:
     """Check a motion at 1 kHz, apart from the planner's own check: largest excess over any limit [rad, 1, 1, m]."""
     duration, bounds = motion.duration, problem.bounds
     spline = CubicSpline(np.linspace(0.0, duration, len(waypoints)), waypoints, bc_type="clamped")
     times = np.linspace(0.0, duration, int(1000 * duration) + 1)
     q: Array = spline(times)
+    heights = robot.tool_states(q)[:, 2]
     return max(0.0, float(np.maximum(bounds.lower - q, q - bounds.upper).max()),
                float((np.abs(spline(times, 1)) / bounds.velocity).max() - 1.0),
                float((np.abs(spline(times, 2)) / bounds.acceleration).max() - 1.0),
-               float(bounds.floors[-1] - robot.tool_states(q)[:, 2].min()))
+               float(min(scene.floor, heights[0], heights[-1]) - heights.min()))
 
 
 def _summary(problems: list[dict[str, Any]]) -> dict[str, Any]:
@@ -119,6 +130,9 @@ def _summary(problems: list[dict[str, Any]]) -> dict[str, Any]:
         summary[f"ratio_{name}"] = _median(beside)
     gaps = [p["gap"] for p in peers]
     return {**summary, "peers": len(peers), "floor_s": _median([p["floor"] for p in problems]),
+            "first_feasible_s": _median([p["first"] for p in problems if np.isfinite(p["first"])]),
+            "touching": sum(p["touching"] > 0 for p in problems),
+            "failures": [p["message"] for p in problems if not p["solved"]],
             "worst_violation": max(p["violation"] for p in problems),
             "objective_gap_p95": float(np.percentile(gaps, 95)) if gaps else None,
             "solved": sum(p["solved"] for p in problems), "problems": len(problems)}
@@ -131,7 +145,7 @@ def _median(values: list[float]) -> float | None:
 def _line(row: dict[str, Any]) -> str:
     line = (f"{row['robot']} {row['task']} {row['waypoints']}: median {row['median_s']:.3f} s, p95 {row['p95_s']:.3f} s"
             f" (floor {row['floor_s']:.3f} s), solved {row['solved']}/{row['problems']}, worst violation "
-            f"{row['worst_violation']:.1e}")
+            f"{row['worst_violation']:.1e}, touching {row['touching']}")
     if not row["peers"]:
         return line
     solvers = ", ".join(f"{solver} {row[f'{solver}_s']:.3f} s" for solver in SOLVERS)

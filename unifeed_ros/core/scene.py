@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from unifeed_ros.core.config import load_settings
 from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.types import Array, Context, frozen_array
+from unifeed_ros.core.zones import Cone, Zone, cones_from, zones_from
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +34,14 @@ class Scene:
     """Height above the table that the tool and the arm keep [m]."""
     objects: Mapping[str, Array] = field(default_factory=dict)
     """Positions of named objects, shape (3,) each [m]."""
+    zones: Mapping[str, Zone] = field(default_factory=dict)
+    """Zones by name: shape, position, size, and a speed where the tool may be slow inside instead of keeping out."""
+    cones: Mapping[str, Cone] = field(default_factory=dict)
+    """Cones by name that the tool's z axis stays in: direction, and angle [rad]."""
+    workspace: Sequence[float] = ()
+    """Box that the tool stays in, smallest x, y, z, then largest, length 6 [m]; empty: anywhere."""
+    tool_speed: float = 0.0
+    """Largest speed of the tool [m/s]; 0: no limit but the joints'."""
 
     def __post_init__(self) -> None:
         """Check shapes, and that both ends are above the table."""
@@ -53,6 +62,16 @@ class Scene:
                                   got=f"{getattr(self, name)[2]:.3f} m", mend="raise it, or lower the clearance")
         checked = {name: frozen_array(f"position of {name}", p, (3,)) for name, p in self.objects.items()}
         object.__setattr__(self, "objects", checked)
+        object.__setattr__(self, "zones", zones_from(self.zones))
+        object.__setattr__(self, "cones", cones_from(self.cones))
+        if not 0 <= self.tool_speed < float("inf"):
+            raise ConfigError(f"tool_speed of task {self.task}", expected="0 or more m/s", got=self.tool_speed)
+        if len(self.workspace):
+            box = frozen_array(f"workspace of task {self.task}", self.workspace, (6,))
+            if (box[:3] >= box[3:]).any():
+                raise ConfigError(f"workspace of task {self.task}", expected="smallest x, y, z, then largest",
+                                  got=box.tolist())
+            object.__setattr__(self, "workspace", tuple(box.tolist()))
 
     @property
     def floor(self) -> float:

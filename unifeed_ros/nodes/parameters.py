@@ -62,7 +62,7 @@ def settings(node: Node, section: str, kind: type[T], **fixed: Any) -> T:
         target, *rest = name.split(".", 1)
         plain = list(value) if hasattr(value, "typecode") or isinstance(value, tuple) else value
         if rest:
-            values.setdefault(target, {})[rest[0]] = plain
+            _nest(values.setdefault(target, {}), rest[0].split("."), plain)
         else:
             values[target] = plain
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
@@ -79,3 +79,10 @@ def settings(node: Node, section: str, kind: type[T], **fixed: Any) -> T:
         elif field.name not in values and isinstance(field.default, (bool, int, float, str)):
             node.declare_parameter(full, field.default, descriptor)
     return from_mapping(kind, values, f"section {section} of the parameters of {node.get_name()}")
+
+
+def _nest(values: dict[str, Any], names: list[str], value: Any) -> None:
+    """Put a value into nested dictionaries."""
+    for name in names[:-1]:
+        values = values.setdefault(name, {})
+    values[names[-1]] = value

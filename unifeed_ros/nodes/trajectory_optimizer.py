@@ -16,7 +16,7 @@ from unifeed_msgs.action import OptimizeTrajectory
 from unifeed_msgs.msg import RewardModel
 from unifeed_ros.core.errors import InputError, PlanningError, UnifeedError
 from unifeed_ros.core.planning.plan import Plan, PlannerConfig, PlanProgress, plan_motion
-from unifeed_ros.core.reward.ensemble import RewardEnsemble
+from unifeed_ros.core.reward.ensemble import ContextReward, RewardEnsemble
 from unifeed_ros.core.types import Array, Context
 from unifeed_ros.nodes.conversions import context_from_msg, model_from_msg, trajectory_to_msg
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
@@ -107,7 +107,7 @@ class TrajectoryOptimizerNode(UnifeedNode):
         )
         plan = plan_motion(
             self._robot,
-            model.bind(context) if model else None,
+            self._bound(model, context, start, end) if model else None,
             start,
             end,
             duration=goal.duration or (0.0 if goal.smoothest else self._scene.duration),
@@ -120,6 +120,11 @@ class TrajectoryOptimizerNode(UnifeedNode):
         if plan.success and not goal.smoothest:
             self._last = plan.waypoints
         return plan
+
+    def _bound(self, model: RewardEnsemble, context: Context, start: Array, end: Array) -> ContextReward:
+        """Bind the model; members are compared over the straight line."""
+        line = start + np.linspace(0.0, 1.0, self._config.waypoints)[:, None] * (end - start)
+        return model.bind(context, self._config.kappa, self._robot.tool_states(line))
 
     def _goal_posture(self, context: Context) -> Array:
         if np.allclose(context.goal, self._scene.goal):

@@ -82,7 +82,7 @@ def random_pairs(robot: RobotModel, scene: Scene, config: PlannerConfig, seed: i
         moved = replace(scene, start=ends[0], goal=ends[1])
         try:
             start, goal = endpoints(robot, moved)
-            bounds = motion_bounds(robot, moved, start, goal, config.arm_radius)
+            bounds = motion_bounds(robot, moved, start, goal, config)
         except UnifeedError:
             continue
         if shortest_duration(goal - start, bounds.velocity, bounds.acceleration) < _HURRY * scene.duration:

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
-from unifeed_ros.core.errors import ConfigError, InputError, PlanningError, ShapeError
-from unifeed_ros.core.planning.arm_points import ArmPoints
-from unifeed_ros.core.planning.check import check_motion, motion_bounds
-from unifeed_ros.core.planning.plan import PlannerConfig, plan_motion
+from unifeed_ros.core.errors import ConfigError, InputError, PlanningError, ShapeError, UnreachableError
+from unifeed_ros.core.planning.check import TOLERANCE, check_motion, motion_bounds
+from unifeed_ros.core.planning.plan import PlannerConfig, ToolGoal, plan_motion
+from unifeed_ros.core.planning.sampling import rest_to_rest, sample_spline
 from unifeed_ros.core.robot import RobotModel
+from unifeed_ros.core.zones import Cone, Zone
 
 CONFIG = PlannerConfig(time_budget=30.0)
 
 
-def plan(case, reward, *, start=None, goal="task", duration=3.0, config=CONFIG, **options):
+def plan(case, reward, *, start=None, goal="task", duration=3.0, config=CONFIG, scene=None, **options):
     return plan_motion(case.robot, reward, case.start if start is None else start,
-                       case.goal if isinstance(goal, str) else goal, duration=duration, scene=case.scene, config=config,
-                       **options)
+                       case.goal if isinstance(goal, str) else goal, duration=duration, scene=scene or case.scene,
+                       config=config, **options)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -32,8 +35,8 @@ def test_motion_for_a_learned_like_reward_is_followable(case, rewards, seed):
     np.testing.assert_allclose(motion.positions[[0, -1]], [case.start, case.goal], atol=1e-9)
     np.testing.assert_allclose(motion.velocities[[0, -1]], 0.0, atol=1e-9)
     np.testing.assert_allclose(motion.resampled(CONFIG.waypoints), result.waypoints, atol=2e-3)
-    bounds = motion_bounds(case.robot, case.scene, case.start, case.goal, CONFIG.arm_radius)
-    assert check_motion(motion, bounds, ArmPoints(case.robot)).ok
+    bounds = motion_bounds(case.robot, case.scene, case.start, case.goal, CONFIG)
+    assert check_motion(motion, bounds).ok
 
 
 def test_motion_is_better_than_the_straight_line(case, rewards):
@@ -56,7 +59,7 @@ def test_the_tool_stays_above_the_table_where_the_reward_pulls_it_down(case, rew
     result = plan(case, rewards["down"]())
     assert result.success, result.message
     heights = case.robot.tool_states(result.trajectory.positions)[:, 2]
-    assert case.scene.floor - 2e-3 <= heights.min() < case.scene.floor + 0.01
+    assert case.scene.floor - TOLERANCE <= heights.min() < case.scene.floor + 0.01
 
 
 def test_the_optimum_does_not_depend_on_the_rewards_unit(panda, rewards):
@@ -118,14 +121,102 @@ def test_an_arm_without_acceleration_says_that_there_is_no_motion(panda):
         plan(replace(panda, robot=weak), None)
 
 
-def test_what_cannot_be_solved_is_called_infeasible(panda):
-    """The straight line between two low ends dips below the floor; steps too small to mend that are not enough."""
+def test_what_cannot_be_solved_is_called_infeasible_with_the_numbers(panda):
+    """Slower than the largest slowdown allows: no motion of that duration."""
+    result = plan(panda, None, scene=replace(panda.scene, tool_speed=0.05))
+    assert not result.success and result.status == "infeasible" and result.violation > 0
+    assert re.search(r"the tool reaches 0\.\d+ m/s of 0\.0500 at \d\.\d\d s", result.message)
+    assert np.isnan(result.first_feasible)
+
+
+def test_a_line_that_dips_below_the_floor_is_mended(panda):
     low = [panda.robot.inverse_kinematics(p, seed=panda.start) for p in ((0.35, 0.3, 0.051), (0.65, -0.3, 0.051))]
-    result = plan(panda, None, start=low[0], goal=low[1], duration=4.0,
-                  config=replace(CONFIG, max_iterations=1, starts=1, trust_radius=1e-4))
-    assert not result.success and result.status == "infeasible"
-    assert "comes down to" in result.message and result.violation > 0
-    assert plan(panda, None, start=low[0], goal=low[1], duration=4.0).success
+    result = plan(panda, None, start=low[0], goal=low[1], duration=4.0)
+    assert result.success and result.violation <= TOLERANCE
+    line = low[0] + np.linspace(0, 1, 50)[:, None] * (low[1] - low[0])
+    assert panda.robot.tool_states(line)[:, 2].min() < panda.scene.floor
+
+
+def _dense(case, result, count=3001):
+    """Tool states and speeds of a motion, from a spline of our own."""
+    times = np.linspace(0.0, result.trajectory.duration, len(result.waypoints))
+    spline = CubicSpline(times, result.waypoints, bc_type="clamped")
+    fine = np.linspace(0.0, times[-1], count)
+    states, jacobians = case.robot.tool_states_and_jacobians(spline(fine))
+    return states, np.linalg.norm(np.einsum("kij,kj->ki", jacobians[:, :3], spline(fine, 1)), axis=1)
+
+
+@pytest.mark.parametrize("waypoints", [20, 40])
+def test_a_sphere_on_the_straight_line_is_avoided(case, rewards, waypoints):
+    middle = case.robot.tool_pose(0.5 * (case.start + case.goal))[0]
+    scene = replace(case.scene, zones={"ball": Zone(shape="sphere", position=middle, size=(0.08,))})
+    config = replace(CONFIG, waypoints=waypoints)
+    result = plan(case, rewards["network"](0), scene=scene, config=config)
+    assert result.success and 0 < result.first_feasible <= result.seconds, result.message
+    assert np.linalg.norm(_dense(case, result)[0][:, :3] - middle, axis=1).min() > 0.08 + config.body_clearance
+    bounds = motion_bounds(case.robot, scene, case.start, case.goal, config)
+    fine = sample_spline(result.waypoints, result.trajectory.duration, case.robot.joint_names, 1000.0)
+    assert check_motion(fine, bounds).ok
+    line = sample_spline(straight_line(case, waypoints), 6.0, case.robot.joint_names, 100.0)
+    assert any("zone ball" in problem for problem in check_motion(line, bounds).problems)
+
+
+def straight_line(case, count):
+    return case.start + rest_to_rest(count)[:, None] * (case.goal - case.start)
+
+
+def test_slow_zones_are_slow_and_elsewhere_is_not(case):
+    middle = case.robot.tool_pose(0.5 * (case.start + case.goal))[0]
+    zone = Zone(shape="sphere", position=middle, size=(0.1,), speed=0.15)
+    result = plan(case, None, scene=replace(case.scene, zones={"careful": zone}), duration=4.0)
+    assert result.success, result.message
+    states, speeds = _dense(case, result)
+    inside = zone.distance(states[:, :3])[0] < -1e-5
+    assert speeds[inside].max(initial=0.0) <= 0.15 + 1e-5
+    assert speeds.max() > 0.3
+
+
+@pytest.mark.parametrize(("changes", "quantity"), [
+    ({"tool_speed": 0.5}, lambda states, speeds: 0.5 - speeds.max()),
+    ({"cones": {"upright": Cone(angle=0.2)}}, lambda states, speeds: (-states[:, 5]).min() - np.cos(0.2)),
+    ({"workspace": (0.1, -0.5, 0.0, 0.66, 0.3, 0.61)}, lambda states, speeds: 0.66 - states[:, 0].max()),
+])
+def test_limits_of_the_tool_hold_between_way_points(case, rewards, changes, quantity):
+    result = plan(case, rewards["network"](0), scene=replace(case.scene, **changes))
+    assert result.success, result.message
+    assert quantity(*_dense(case, result)) > -1e-5
+
+
+def test_the_motion_hardly_depends_on_the_number_of_way_points(panda, rewards):
+    few, many = (plan(panda, rewards["network"](1), config=replace(CONFIG, waypoints=count)) for count in (20, 39))
+    times = np.linspace(0.0, 3.0, 50)
+    apart = panda.robot.tool_states(few.trajectory.positions_at(times)) - panda.robot.tool_states(
+        many.trajectory.positions_at(times))
+    assert np.abs(apart[:, :3]).max() < 0.03
+    assert few.objective / 20 == pytest.approx(many.objective / 39, rel=0.05)
+
+
+@pytest.mark.parametrize("axis", [None, (0.0, 0.0, -1.0)])
+def test_goals_of_the_tool_leave_the_posture_free(case, rewards, axis):
+    goal = ToolGoal(position=case.scene.goal, axis=axis)
+    result = plan(case, rewards["network"](2), goal=goal)
+    assert result.success, result.message
+    end = case.robot.tool_states(result.waypoints[-1:])[0]
+    np.testing.assert_allclose(end[:3], case.scene.goal, atol=CONFIG.goal_tolerance + 1e-6)
+    if axis is not None:
+        np.testing.assert_allclose(end[3:], axis, atol=CONFIG.goal_tolerance + 1e-6)
+    assert result.objective > plan(case, rewards["network"](2)).objective - 0.05
+    with pytest.raises(UnreachableError):
+        plan(case, None, goal=ToolGoal(position=(3.0, 0.0, 0.5), axis=axis))
+
+
+def test_jerk_is_limited_on_request(case, rewards):
+    free = plan(case, rewards["network"](0))
+    result = plan(case, rewards["network"](0), config=replace(CONFIG, jerk_limit=20.0))
+    assert result.success, result.message
+    jerks = [np.abs(np.diff(r.trajectory.accelerations, axis=0) / np.diff(r.trajectory.times)[:, None]).max()
+             for r in (result, free)]
+    assert jerks[0] <= 20.0 * (1 + 1e-5) < jerks[1]
 
 
 def test_cancel_is_followed_at_once(case, rewards):

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from unifeed_ros.core.errors import PlanningError
-from unifeed_ros.core.planning.arm_points import ArmPoints
 from unifeed_ros.core.planning.check import motion_bounds
 from unifeed_ros.core.planning.config import PlannerConfig
+from unifeed_ros.core.planning.kinematics import Kinematics
 from unifeed_ros.core.planning.problem import PlanningProblem
 from unifeed_ros.core.planning.sampling import sample_spline
 from unifeed_ros.core.planning.starts import straight_line
@@ -19,7 +19,7 @@ from unifeed_ros.core.planning.starts import straight_line
 def make_problem(case, reward, *, goal=True, **settings):
     config = PlannerConfig(**{"waypoints": 8, **settings})
     end = case.goal if goal else None
-    bounds = motion_bounds(case.robot, case.scene, case.start, end, config.arm_radius)
+    bounds = motion_bounds(case.robot, case.scene, case.start, end, config)
     return PlanningProblem(case.robot, reward, case.start, end, 3.0, bounds, config)
 
 
@@ -45,17 +45,10 @@ def _differences(function, waypoints, free, step=1e-6):
 
 def test_tool_states_are_the_robots(case):
     postures = case.start + np.random.default_rng(0).normal(scale=0.4, size=(10, case.robot.n))
-    geometry = ArmPoints(case.robot).evaluate(postures)
+    pose = Kinematics(case.robot).evaluate(postures)
     states, jacobians = case.robot.tool_states_and_jacobians(postures)
-    np.testing.assert_allclose(geometry.states, states, atol=1e-12)
-    np.testing.assert_allclose(geometry.state_jacobians, jacobians, atol=1e-12)
-    np.testing.assert_allclose(geometry.heights[:, -1], states[:, 2], atol=1e-12)
-
-
-def test_height_jacobians_match_differences(case):
-    points, posture = ArmPoints(case.robot), case.start + 0.3
-    numeric = _differences(lambda q: points.evaluate(q).heights[0], posture[None], [0])
-    np.testing.assert_allclose(points.evaluate(posture[None]).height_jacobians[0], numeric, atol=1e-8)
+    np.testing.assert_allclose(pose.states, states, atol=1e-12)
+    np.testing.assert_allclose(pose.state_jacobians, jacobians, atol=1e-12)
 
 
 @settings(max_examples=10, deadline=None)

@@ -21,7 +21,7 @@ def _random_programme(seed: int, *, points: int = 2):
     factors = rng.normal(size=(m, n, n))
     root = rng.normal(size=(m, m))
     constants = QPConstants(rng.normal(size=(r, m)), rng.uniform(0.5, 2.0, size=(r, n)), root @ root.T,
-                            rng.uniform(0.1, 1.0, size=n), np.eye(m) + 0.2 * rng.normal(size=(m, m)))
+                            rng.uniform(0.1, 1.0, size=n), np.eye(m) + 0.2 * rng.normal(size=(m, m)), np.eye(m))
     clearances = rng.uniform(-0.1, 0.5, size=(m, points))
     clearances[0] = np.inf
     qp = WaypointQP(gradient=rng.normal(size=(m, n)), blocks=factors @ factors.transpose(0, 2, 1) + 0.1 * np.eye(n),

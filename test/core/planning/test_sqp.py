@@ -17,7 +17,7 @@ from unifeed_ros.core.planning.subproblem import Subproblem
 
 
 def make_problem(case, reward, config, duration=3.0):
-    bounds = motion_bounds(case.robot, case.scene, case.start, case.goal, config.arm_radius)
+    bounds = motion_bounds(case.robot, case.scene, case.start, case.goal, config)
     return PlanningProblem(case.robot, reward, case.start, case.goal, duration, bounds, config)
 
 

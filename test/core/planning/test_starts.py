@@ -16,7 +16,7 @@ from unifeed_ros.core.planning.starts import StartRepair, start_motions, straigh
 
 def make_problem(case, *, goal=True, duration=3.0, waypoints=20):
     config, end = PlannerConfig(waypoints=waypoints), case.goal if goal else None
-    bounds = motion_bounds(case.robot, case.scene, case.start, end, config.arm_radius)
+    bounds = motion_bounds(case.robot, case.scene, case.start, end, config)
     return PlanningProblem(case.robot, None, case.start, end, duration, bounds, config)
 
 

@@ -44,6 +44,23 @@ def test_offsets_point_from_the_tool_to_the_thing(context):
 
 @settings(max_examples=20)
 @given(seed=st.integers(0, 999))
+def test_disagreement_is_taken_off_with_its_exact_gradient(ensemble_of, context, seed):
+    ensemble, points = ensemble_of(seed), states(seed)
+    mean, gradient = ensemble.bind(context).value_and_gradient(points)
+    careful = ensemble.bind(context, 2.0, among=points)
+    value, slope = careful.value_and_gradient(points)
+    np.testing.assert_allclose(value, mean - 2.0 * ensemble.disagreement(points, context), atol=3e-4)
+    shift, step = 1e-6 * np.random.default_rng(seed).normal(size=6), 1.0
+    sides = [careful.value_and_gradient(points + sign * step * shift)[0] for sign in (1, -1)]
+    kinked = np.abs(sides[0] - 2 * value + sides[1]) > 1e-10
+    np.testing.assert_allclose((slope @ shift)[~kinked], (sides[0] - sides[1])[~kinked] / 2, atol=1e-10)
+    assert kinked.mean() < 0.5 and np.abs(slope - gradient).max() > 1e-3
+    same = ensemble.bind(context, 0.0, among=points).value_and_gradient(points)
+    np.testing.assert_array_equal(same[0], mean)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 999))
 def test_gradient_is_that_of_the_value(ensemble_of, context, seed):
     reward = ensemble_of(seed).bind(context)
     points = states(seed)

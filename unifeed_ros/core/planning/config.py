@@ -36,12 +36,24 @@ class PlannerConfig:
     """Share of the velocity and acceleration limits that is left unused [1]."""
     arm_radius: float = 0.06
     """Distance from the joints' centres to the arm's surface, for the height over the table [m]."""
+    whole_arm: bool = True
+    """True: the arm's capsules keep away from zones, the table and each other; needs the URDF's collision geometry."""
+    body_clearance: float = 0.02
+    """Distance that they keep [m]."""
+    kappa: float = 0.0
+    """Planned is the mean reward less this many times the ensemble's disagreement; 0: the mean (paper eq. M10) [1]."""
+    jerk_limit: float = 0.0
+    """Largest jerk of a joint between the ends of a motion [rad/s^3]; 0: any."""
+    goal_tolerance: float = 1e-3
+    """Largest distance from a goal that is given as a position or a pose, by coordinate [m, 1]."""
     slack: float = 1.5
     """Duration over the shortest possible one, where no duration is asked for [1]."""
     max_slowdown: float = 2.0
     """Largest factor by which a motion may be slowed down to become feasible [1]."""
     sample_rate: float = 100.0
     """Rate of the points of the motion [Hz]."""
+    check_rate: float = 500.0
+    """Rate at which a motion is checked, the controller's [Hz]."""
     qp_solver: SolverName = "piqp"
     """Solver of the quadratic programmes: piqp, osqp or own."""
     seed: int = 0
@@ -56,11 +68,13 @@ class PlannerConfig:
         for name in ("starts", "max_iterations"):
             if getattr(self, name) < 1:
                 raise ConfigError(name, expected=">= 1", got=getattr(self, name))
-        for name in ("smoothness", "tolerance", "time_budget", "trust_radius", "sample_rate"):
+        for name in ("smoothness", "tolerance", "time_budget", "trust_radius", "sample_rate", "check_rate",
+                     "goal_tolerance"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ConfigError(name, expected="> 0", got=getattr(self, name))
         for name, low, high in (("margin", 0.0, 0.5), ("arm_radius", 0.0, 1.0), ("slack", 1.0, 100.0),
-                                ("max_slowdown", 1.0, 100.0)):
+                                ("max_slowdown", 1.0, 100.0), ("body_clearance", 0.0, 1.0), ("kappa", -1e3, 1e3),
+                                ("jerk_limit", 0.0, 1e6)):
             if not low <= getattr(self, name) <= high:
                 raise ConfigError(name, expected=f"{low} to {high}", got=getattr(self, name))
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 
+from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.planning.qp import SLACK_CURVATURE, QPConstants, QPSolution, WaypointQP
 from unifeed_ros.core.types import Array
 
@@ -29,7 +30,7 @@ class InteriorPoint:
             tolerance: Largest residual and complementarity of a solution.
             max_iterations: Largest number of factorisations.
         """
-        self._rates, self._limits, self._coupling, self._weights, _ = constants
+        self._rates, self._limits, self._coupling, self._weights = constants[:4]
         m, n = len(self._coupling), len(self._weights)
         self._constant = np.zeros((m, n, m, n))
         _same_joint(self._constant)[:] = self._weights[:, None, None] * self._coupling
@@ -40,7 +41,12 @@ class InteriorPoint:
 
         Args:
             qp: What to solve.
+
+        Raises:
+            ConfigError: A clearance depends on velocities, which this method does not know.
         """
+        if qp.rate_jacobians is not None:
+            raise ConfigError("qp_solver", expected="piqp or osqp where the tool's speed is limited", got="own")
         rows = _Rows(self._rates, self._limits, qp)
         point = _first_point(rows, qp)
         gradient = np.concatenate([qp.gradient.ravel(), np.full(len(qp.gradient), qp.penalty)])

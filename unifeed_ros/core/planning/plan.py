@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
 from unifeed_ros.core.errors import PlanningError
-from unifeed_ros.core.planning.check import MotionBounds, MotionCheck, check_motion, motion_bounds
+from unifeed_ros.core.planning.check import TOLERANCE, MotionBounds, MotionCheck, check_motion, motion_bounds
 from unifeed_ros.core.planning.config import PlannerConfig
+from unifeed_ros.core.planning.goals import ToolGoal
 from unifeed_ros.core.planning.problem import PlanningProblem, StateReward
 from unifeed_ros.core.planning.sampling import sample_spline, shortest_duration
 from unifeed_ros.core.planning.search import PlanProgress, Search, Status
@@ -18,15 +21,17 @@ from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.scene import Scene
 from unifeed_ros.core.types import Array, Trajectory, frozen_array
 
-__all__ = ["Plan", "PlanProgress", "PlannerConfig", "plan_motion"]
+__all__ = ["Plan", "PlanProgress", "PlannerConfig", "ToolGoal", "plan_motion"]
 
 _SHORTEST = 0.5
 """Duration of a motion that hardly moves, where none is asked for [s]."""
 _LONGER = 1.03
 """Factor by which a duration is lengthened until way-points can keep it [1]."""
 _TRIALS = 12
-_RAISES = 3
-"""How often the floor is raised because the spline between way-points dips below it."""
+_RAISES = 8
+"""How often margins grow because the spline between way-points misses a bound."""
+_DETOURS = 4
+"""Deformed starts that are tried where the straight line and the seeds lead to no motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,18 +51,20 @@ class Plan:
     objective: float
     """Return less roughness [reward]."""
     violation: float
-    """Largest distance of any sample below the floor [m]."""
+    """Largest distance of any sample below a constraint's bound [m]."""
     iterations: int
     """Quadratic programmes solved, over all starts."""
     seconds: float
     """Wall-clock time [s]."""
+    first_feasible: float
+    """Wall-clock time until way-points first kept all constraints; nan: never [s]."""
 
 
 def plan_motion(
     robot: RobotModel,
     reward: StateReward | None,
     start: Array,
-    goal: Array | None,
+    goal: Array | ToolGoal | None,
     *,
     duration: float,
     scene: Scene,
@@ -72,9 +79,9 @@ def plan_motion(
         robot: The arm.
         reward: Reward of single states; None for the smoothest motion.
         start: Joint positions at the start, shape (n,) [rad].
-        goal: Joint positions at the end, shape (n,) [rad]; None: wherever the reward leads.
+        goal: Joint positions at the end, shape (n,) [rad]; or where the tool ends; None: wherever the reward leads.
         duration: Time from start to end [s]; 0: the shortest possible one times the configured slack.
-        scene: Table and clearance.
+        scene: Table, zones, cones, workspace and speed of the tool.
         config: Settings.
         on_iteration: Called after each iteration.
         should_stop: Polled before each iteration; True ends the search with status "canceled".
@@ -90,20 +97,42 @@ def plan_motion(
         ShapeError: Start, goal or a seed has another shape.
     """
     start = frozen_array("start of the motion", start, (robot.n,))
-    goal = None if goal is None else frozen_array("goal of the motion", goal, (robot.n,))
-    bounds = motion_bounds(robot, scene, start, goal, config.arm_radius)
+    fixed = None if goal is None or isinstance(goal, ToolGoal) else frozen_array("goal of the motion", goal, (robot.n,))
+    ends = (goal.constraint(config.goal_tolerance),) if isinstance(goal, ToolGoal) else ()
+    bounds = motion_bounds(robot, scene, start, fixed, config, ends)
+    aim = goal.guess(robot, start) if isinstance(goal, ToolGoal) else fixed
     search = Search(config, on_iteration, should_stop)
-    problem, repair = _feasible_problem(robot, reward, start, goal, _duration(start, goal, duration, bounds, config),
-                                        bounds, config)
-    search.improve(problem, start_motions(problem, repair, seeds, config))
-    trajectory, check = _followable(robot, problem, search.best, config)
+    first = _duration(start, aim, duration, bounds, config)
+    problem, repair = _feasible_problem(robot, reward, start, fixed, aim, first, bounds, config)
+    found = _search(search, problem, start_motions(problem, repair, seeds, config), config)
+    if not found.check.ok and not search.has_ended():
+        detours = replace(config, starts=1 + _DETOURS, seed=config.seed + 1)
+        other = _search(search, problem, islice(start_motions(problem, repair, (), detours), 1, None), config)
+        found = min(found, other, key=lambda one: (not one.check.ok, one.check.shortfall))
+    return _plan(search, found, duration)
+
+
+class _Found(NamedTuple):
+    """The best way-points of a search, and the motion through them."""
+
+    problem: PlanningProblem
+    waypoints: Array
+    trajectory: Trajectory
+    check: MotionCheck
+
+
+def _search(search: Search, problem: PlanningProblem, starts: Iterable[Array], config: PlannerConfig) -> _Found:
+    """Improve starts, and give way-points larger margins where the spline between them misses a bound."""
+    search.improve(problem, starts)
+    found = _followable(problem, search.best, config)
     for _ in range(_RAISES):
-        if check.ok or check.height_shortfall == 0.0 or search.has_ended():
+        excess = np.maximum(found.check.position_excess, 0.0)
+        if found.check.ok or max(found.check.shortfall, float(excess.max())) <= TOLERANCE or search.has_ended():
             break
-        problem = problem.raised(check.height_shortfall)
-        search.improve(problem, [search.best])
-        trajectory, check = _followable(robot, problem, search.best, config)
-    return _plan(search, problem, trajectory, check, duration)
+        problem = problem.raised(found.check.shortfalls, excess)
+        search.improve(problem, [problem.within(search.best)])
+        found = _followable(problem, search.best, config)
+    return found
 
 
 def _duration(start: Array, goal: Array | None, asked: float, bounds: MotionBounds, config: PlannerConfig) -> float:
@@ -123,11 +152,12 @@ def _duration(start: Array, goal: Array | None, asked: float, bounds: MotionBoun
     return max(asked, shortest)
 
 
-def _feasible_problem(robot: RobotModel, reward: StateReward | None, start: Array, goal: Array | None, duration: float,
-                      bounds: MotionBounds, config: PlannerConfig) -> tuple[PlanningProblem, StartRepair]:
+def _feasible_problem(robot: RobotModel, reward: StateReward | None, start: Array, goal: Array | None,
+                      aim: Array | None, duration: float, bounds: MotionBounds,
+                      config: PlannerConfig) -> tuple[PlanningProblem, StartRepair]:
     """Build the problem for the shortest duration, from the given one on, that way-points can keep."""
     for trial in range(_TRIALS):
-        problem = PlanningProblem(robot, reward, start, goal, duration * _LONGER**trial, bounds, config)
+        problem = PlanningProblem(robot, reward, start, goal, duration * _LONGER**trial, bounds, config, guess=aim)
         try:
             return problem, StartRepair(problem)
         except PlanningError:
@@ -137,20 +167,25 @@ def _feasible_problem(robot: RobotModel, reward: StateReward | None, start: Arra
                         mend="allow more time, or more way-points")
 
 
-def _followable(robot: RobotModel, problem: PlanningProblem, waypoints: Array,
-                config: PlannerConfig) -> tuple[Trajectory, MotionCheck]:
-    """Sample way-points, and slow them down where that keeps the limits of speed and acceleration."""
-    trajectory = sample_spline(waypoints, problem.duration, robot.joint_names, config.sample_rate)
-    check = check_motion(trajectory, problem.bounds, problem.points)
-    if check.ok or not 1.0 < check.slowdown <= config.max_slowdown:
-        return trajectory, check
-    slower = problem.duration * check.slowdown
-    trajectory = sample_spline(waypoints, slower, robot.joint_names, config.sample_rate)
-    return trajectory, check_motion(trajectory, problem.bounds, problem.points)
+def _followable(problem: PlanningProblem, waypoints: Array, config: PlannerConfig) -> _Found:
+    """Sample way-points, and slow them down where that keeps the limits of speed, acceleration and jerk."""
+    duration = problem.duration
+    check = _checked(problem, waypoints, duration, config)
+    if not check.ok and 1.0 < check.slowdown <= config.max_slowdown:
+        duration *= check.slowdown
+        check = _checked(problem, waypoints, duration, config)
+    motion = sample_spline(waypoints, duration, problem.joint_names, config.sample_rate)
+    return _Found(problem, waypoints, motion, check)
 
 
-def _plan(search: Search, problem: PlanningProblem, trajectory: Trajectory, check: MotionCheck, wanted: float) -> Plan:
+def _checked(problem: PlanningProblem, waypoints: Array, duration: float, config: PlannerConfig) -> MotionCheck:
+    """Check a motion at the controller's rate."""
+    return check_motion(sample_spline(waypoints, duration, problem.joint_names, config.check_rate), problem.bounds)
+
+
+def _plan(search: Search, found: _Found, wanted: float) -> Plan:
     """Say how it went."""
+    problem, waypoints, trajectory, check = found
     success = check.ok and search.status != "canceled"
     status = search.status if check.ok or search.status == "canceled" else "infeasible"
     message = {
@@ -161,6 +196,6 @@ def _plan(search: Search, problem: PlanningProblem, trajectory: Trajectory, chec
     }[status]
     if success and wanted and trajectory.duration > wanted * (1 + 1e-9):
         message += f"; slowed down from {wanted:.2f} s to {trajectory.duration:.2f} s to keep the limits"
-    return Plan(trajectory=trajectory, waypoints=search.best, status=status, success=success, message=message,
-                objective=-problem.scale * problem.evaluate(search.best).cost, violation=check.height_shortfall,
-                iterations=search.count, seconds=search.seconds)
+    return Plan(trajectory=trajectory, waypoints=waypoints, status=status, success=success, message=message,
+                objective=-problem.scale * problem.evaluate(waypoints).cost, violation=check.shortfall,
+                iterations=search.count, seconds=search.seconds, first_feasible=search.first_feasible)

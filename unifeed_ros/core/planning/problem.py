@@ -7,16 +7,17 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from unifeed_ros.core.errors import PlanningError
-from unifeed_ros.core.planning.arm_points import ArmPoints
 from unifeed_ros.core.planning.check import MotionBounds
 from unifeed_ros.core.planning.config import PlannerConfig
+from unifeed_ros.core.planning.constraints import joined
 from unifeed_ros.core.planning.qp import QPConstants
 from unifeed_ros.core.planning.sampling import knot_maps, spline_basis
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array
 
-_HEIGHT_MARGIN = 2e-3
 _SMALLEST_SCALE = 1e-9
+_RAISE, _LEAST_RAISE = 1.2, 2e-4
+"""Factor, and least distance, by which a margin grows where a motion missed its bound [1, m]."""
 
 
 class StateReward(Protocol):
@@ -46,18 +47,20 @@ class Evaluation(NamedTuple):
     roughness_gradient: Array
     """Gradient of the roughness, shape (m, n) [1/rad]."""
     clearances: Array
-    """Heights of the arm's points over their floors at the free way-points, shape (m, P) [m]."""
+    """Values of the constraints over bounds and margins at the free way-points, shape (m, P) [m]; inf: far."""
     clearance_jacobians: Array
-    """Their derivatives, shape (m, P, n) [m/rad]."""
+    """Their derivatives by the posture, shape (m, P, n) [m/rad]."""
+    rate_jacobians: Array | None
+    """Their derivatives by the joint velocities, shape (m, P, n) [m s/rad]; None: none depends on them."""
 
     @property
     def shortfalls(self) -> Array:
-        """Distance of each free way-point below the floor, shape (m,) [m]."""
+        """Largest distance below a bound at each free way-point, shape (m,) [m]."""
         return np.maximum(-self.clearances.min(axis=1), 0.0)
 
     @property
     def violation(self) -> float:
-        """Largest distance below the floor [m]."""
+        """Largest distance below a bound [m]."""
         return float(self.shortfalls.max())
 
 
@@ -68,22 +71,28 @@ class PlanningProblem:
     goal, where accelerations a and velocities are those of the clamped cubic spline through the way-points. Between
     knots its acceleration is linear and its velocity a parabola inside its Bezier control points. A velocity at a knot
     is the mean of the control points on both sides, so that limits of accelerations at the knots and of the middle
-    control points hold everywhere. Heights over the floors are the only constraints that are not linear.
+    control points hold everywhere; its jerk is constant between knots. Constraints on the arm's pose and the tool's
+    speed are not linear; they keep margins at the way-points, which grow where the spline between them needs it.
 
     Attributes:
         count: Number of way-points H.
+        aim: Where the straight line ends: the goal, or a guess, shape (n,) [rad]; None: unknown.
+        lower, upper: Joint positions that free way-points keep to, shape (n,) [rad].
+        velocity: Linear map from changes of free way-points to joint velocities at them, shape (m, m) [1/s].
         free: Indices of the way-points that may move, m of them.
         scale: Reward's spread that the cost is divided by [reward].
-        rates: Linear map from way-points to what is limited, shape (R, H): accelerations, and the velocities'
-            middle control points.
+        rates: Linear map from way-points to what is limited, shape (R, H): accelerations, the velocities' middle
+            control points, and jerks where they are limited.
         rate_limits: Their limits less the margin, shape (R, n).
         roughness_hessian: Hessian of the roughness over free way-points for a joint of unit weight, shape (m, m).
         roughness_weights: Weight of each joint in it, shape (n,).
         qp_solver: Name of the solver of its quadratic models.
+        joint_names: Names of the n joints.
     """
 
     def __init__(self, robot: RobotModel, reward: StateReward | None, start: Array, goal: Array | None, duration: float,
-                 bounds: MotionBounds, config: PlannerConfig, height_margin: float = _HEIGHT_MARGIN) -> None:
+                 bounds: MotionBounds, config: PlannerConfig, *, guess: Array | None = None,
+                 margins: Array | None = None, inset: Array | None = None) -> None:
         """Set up the linear maps and measure the reward's spread.
 
         Args:
@@ -94,42 +103,64 @@ class PlanningProblem:
             duration: Time from start to end [s].
             bounds: Limits of the motion.
             config: Settings.
-            height_margin: Height kept above the floors at the way-points, for the spline between them [m].
+            guess: Where a motion without a fixed goal may end, shape (n,) [rad]; None: unknown.
+            margins: Distance kept from the constraints' bounds at each way-point, shape (H, P) [m]; by default the
+                constraints' own.
+            inset: Distance kept from the position limits at free way-points, shape (n,) [rad]; by default none.
 
         Raises:
             PlanningError: The reward is not finite.
         """
         self._arguments = (robot, reward, start, goal, duration, bounds, config)
-        self._height_margin = height_margin
         self.reward, self.start, self.goal, self.bounds, self.duration = reward, start, goal, bounds, duration
         self.count, self.joints = config.waypoints, robot.n
         self.free = np.arange(1, self.count - (goal is not None))
-        self.points = ArmPoints(robot)
+        self.aim = guess if goal is None else goal
+        self._kinematics = bounds.kinematics
+        own = np.concatenate([np.full(len(one.names), one.margin) for one in bounds.constraints])
+        self._margins = np.tile(own, (self.count, 1)) if margins is None else margins
+        self._inset = np.zeros(robot.n) if inset is None else inset
+        self.lower, self.upper = bounds.lower + self._inset, bounds.upper - self._inset
         velocity, acceleration = knot_maps(self.count, duration)
+        self._velocity, self.velocity = velocity, velocity[np.ix_(self.free, self.free)]
         half = 0.5 * duration / (self.count - 1)
         between = velocity[:-1] + half * acceleration[:-1]  # middle control points of the velocity's parabolas
         self.rates = np.vstack([acceleration, between])
         limits = [bounds.acceleration] * self.count + [bounds.velocity] * (self.count - 1)
+        if np.isfinite(bounds.jerk).all():
+            self.rates = np.vstack([self.rates, np.diff(acceleration, axis=0) / (2.0 * half)])
+            limits += [bounds.jerk] * (self.count - 1)
         self.rate_limits = np.array(limits) * (1.0 - config.margin)
         self._acceleration = acceleration
         self.smoothness = config.smoothness if reward is not None else 1.0
         self.roughness_weights = self.smoothness / (self.joints * bounds.acceleration**2)
         self.roughness_hessian = 2.0 * acceleration[:, self.free].T @ acceleration[:, self.free]
-        self.qp_solver = config.qp_solver
+        self.qp_solver, self.joint_names = config.qp_solver, robot.joint_names
         self.scale = self._spread()
 
-    def raised(self, height: float) -> PlanningProblem:
-        """Return the problem with higher floors at the way-points.
+    def raised(self, shortfalls: Array, excess: Array) -> PlanningProblem:
+        """Return the problem with larger margins where a motion between its way-points missed bounds.
 
         Args:
-            height: How much higher [m].
+            shortfalls: Distances below the bounds at K evenly spaced moments, shape (K, P) [m].
+            excess: Distances outside the position limits, shape (n,) [rad].
         """
-        return PlanningProblem(*self._arguments, height_margin=self._height_margin + height)
+        before = np.linspace(0.0, self.count - 1, len(shortfalls)).astype(int)
+        raises = np.zeros(self._margins.shape)
+        for shift in (0, 1):  # way-points on both sides
+            np.maximum.at(raises, np.minimum(before + shift, self.count - 1), shortfalls)
+        margins = self._margins + np.where(raises > 0, _RAISE * raises + _LEAST_RAISE, 0.0)
+        inset = self._inset + np.where(excess > 0, _RAISE * excess + _LEAST_RAISE, 0.0)
+        return PlanningProblem(*self._arguments, guess=self.aim, margins=margins, inset=inset)
+
+    def within(self, waypoints: Array) -> Array:
+        """Move free way-points inside the position limits, shape (H, n) [rad]."""
+        return self.complete(np.clip(waypoints[self.free], self.lower, self.upper))
 
     def qp_constants(self) -> QPConstants:
         """Return what all quadratic models of this problem share."""
         return QPConstants(self.rates[:, self.free], self.rate_limits, self.roughness_hessian, self.roughness_weights,
-                           spline_basis(self.count, ends_free=self.goal is None))
+                           spline_basis(self.count, ends_free=self.goal is None), self.velocity)
 
     def complete(self, free: Array) -> Array:
         """Add the fixed ends to free way-points.
@@ -152,10 +183,11 @@ class PlanningProblem:
         Raises:
             PlanningError: The reward or its gradient is not finite.
         """
-        geometry = self.points.evaluate(waypoints)
-        values, gradients = self._reward(geometry.states)
+        pose = self._kinematics.evaluate(waypoints)
+        values, gradients = self._reward(pose.states)
+        over = joined(self.bounds.constraints, pose, self._velocity @ waypoints)
         free = self.free
-        to_joints = np.einsum("ki,kij->kj", gradients[free], geometry.state_jacobians[free])
+        to_joints = (gradients[free, None] @ pose.state_jacobians[free])[:, 0]
         accelerations = self._acceleration @ waypoints
         roughness = float((accelerations**2 @ self.roughness_weights).sum())
         return Evaluation(
@@ -163,8 +195,8 @@ class PlanningProblem:
             cost=roughness - float(values.sum()) / self.scale,
             reward_gradients=-to_joints / self.scale,
             roughness_gradient=2.0 * self._acceleration[:, free].T @ accelerations * self.roughness_weights,
-            clearances=geometry.heights[free] - self.bounds.floors - self._height_margin,
-            clearance_jacobians=geometry.height_jacobians[free])
+            clearances=over.values[free] - self._margins[free], clearance_jacobians=over.jacobians[free],
+            rate_jacobians=None if over.rate_jacobians is None else over.rate_jacobians[free])
 
     def rate_shares(self, waypoints: Array) -> Array:
         """Compute rates over their limits, shape (R, n); feasible between -1 and 1."""
@@ -172,11 +204,11 @@ class PlanningProblem:
 
     def _spread(self) -> float:
         """Measure how much the reward changes along the straight line, or within half a radian where that is more."""
-        goal = self.start if self.goal is None else self.goal
+        goal = self.start if self.aim is None else self.aim
         line = self.start + np.linspace(0.0, 1.0, self.count)[:, None] * (goal - self.start)
-        geometry = self.points.evaluate(line)
-        values, gradients = self._reward(geometry.states)
-        slope = np.linalg.norm(np.einsum("ki,kij->kj", gradients, geometry.state_jacobians), axis=1).mean()
+        pose = self._kinematics.evaluate(line)
+        values, gradients = self._reward(pose.states)
+        slope = np.linalg.norm((gradients[:, None] @ pose.state_jacobians)[:, 0], axis=1).mean()
         return max(float(np.ptp(values)), 0.5 * float(slope), _SMALLEST_SCALE) if self.reward is not None else 1.0
 
     def _reward(self, states: Array) -> tuple[Array, Array]:

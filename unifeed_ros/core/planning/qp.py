@@ -27,13 +27,15 @@ class QPConstants(NamedTuple):
     """Weight of each joint, shape (n,)."""
     basis: Array
     """S, invertible: in coefficients c of d = S c both T S and S'R S are narrow bands, shape (m, m)."""
+    velocity: Array
+    """V, from changes of the way-points of any joint to velocities at them, in c a narrow band too, shape (m, m)."""
 
 
 class WaypointQP(NamedTuple):
     """minimise g'd + 1/2 d'(B + R)d + penalty 1's + 1/2 1e-3 s's over changes d, shape (m, n), and slacks s, (m,).
 
-    subject to lower <= d <= upper, |shares + T d / limits| <= 1, c_k + G_k d_k + s_k >= 0 and s >= 0, where R couples
-    the way-points of one joint.
+    subject to lower <= d <= upper, |shares + T d / limits| <= 1, c_k + G_k d_k + F_k (V d)_k + s_k >= 0 and s >= 0,
+    where R couples the way-points of one joint.
     """
 
     gradient: Array
@@ -52,6 +54,8 @@ class WaypointQP(NamedTuple):
     """G, shape (m, P, n)."""
     penalty: float
     """Cost of a unit of slack."""
+    rate_jacobians: Array | None = None
+    """F, shape (m, P, n); None: zero."""
 
 
 class QPSolution(NamedTuple):

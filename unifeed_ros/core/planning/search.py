@@ -16,8 +16,8 @@ from unifeed_ros.core.types import Array
 
 Status = Literal["solved", "time_budget", "infeasible", "canceled"]
 
-_FEASIBLE = 1e-3
-"""Distance below the floor at a way-point that still counts as feasible; a margin over the floor covers it [m]."""
+_FEASIBLE = 3e-4
+"""Distance below a bound at a way-point that still counts as feasible; the margins cover it [m]."""
 
 
 class PlanProgress(NamedTuple):
@@ -28,7 +28,7 @@ class PlanProgress(NamedTuple):
     objective: float
     """Return less roughness of the present way-points [reward]."""
     violation: float
-    """Largest distance of the arm below the floor [m]."""
+    """Largest distance of a constraint's value below its bound [m]."""
     best: float
     """Objective of the best feasible way-points so far, -inf before the first [reward]."""
 
@@ -39,6 +39,7 @@ class Search:
     Attributes:
         status: "solved", or what ended the search before that.
         count: Iterations so far, over all starts.
+        first_feasible: Time until way-points first kept all constraints, nan before [s].
     """
 
     def __init__(self, config: PlannerConfig, on_iteration: Callable[[PlanProgress], None] | None = None,
@@ -49,6 +50,7 @@ class Search:
         self._best: Evaluation | None = None
         self.status: Status = "solved"
         self.count = 0
+        self.first_feasible = float("nan")
 
     @property
     def best(self) -> Array:
@@ -95,6 +97,8 @@ class Search:
                     return
 
     def _keep(self, present: Evaluation) -> None:
+        if np.isnan(self.first_feasible) and present.violation <= _FEASIBLE:
+            self.first_feasible = self.seconds
         if self._best is None or _rank(present) < _rank(self._best):
             self._best = present
 

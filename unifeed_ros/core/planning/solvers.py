@@ -31,7 +31,7 @@ def make_solver(name: SolverName, constants: QPConstants, tolerance: float = 1e-
 
 
 class _Sparse:
-    """A solver that takes the sparse form; its patterns are laid out with the first programme."""
+    """A solver that takes the sparse form; its patterns are laid out anew where the number of clearances changes."""
 
     def __init__(self, constants: QPConstants, backend: _Piqp | _Osqp) -> None:
         self._constants, self._backend = constants, backend
@@ -41,8 +41,9 @@ class _Sparse:
         """Solve one programme; no change is what comes of bounds that contradict each other."""
         if (qp.lower > qp.upper).any():
             return QPSolution(np.zeros_like(qp.gradient), False)
-        if self._form is None:
+        if self._form is None or self._form.points != qp.clearances.shape[1]:
             self._form = SparseForm(self._constants, qp.clearances.shape[1])
+            self._backend.forget()
         self._form.fill(qp)
         x, converged = self._backend.solve(self._form)
         if not np.isfinite(x).all():
@@ -54,8 +55,13 @@ class _Piqp:
     """A sparse interior-point method with proximal terms."""
 
     def __init__(self, tolerance: float) -> None:
+        self._tolerance = tolerance
+        self.forget()
+
+    def forget(self) -> None:
+        """Make ready for programmes of other patterns."""
         self._solver: Any = piqp.SparseSolver()
-        settings = self._solver.settings
+        tolerance, settings = self._tolerance, self._solver.settings
         settings.eps_abs = settings.eps_rel = tolerance
         settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = 10.0 * tolerance
         settings.kkt_solver = piqp.sparse_multistage
@@ -75,6 +81,10 @@ class _Osqp:
 
     def __init__(self, tolerance: float) -> None:
         self._tolerance = tolerance
+        self.forget()
+
+    def forget(self) -> None:
+        """Make ready for programmes of other patterns."""
         self._solver: Any = None
 
     def solve(self, form: SparseForm) -> tuple[Array, bool]:

@@ -26,6 +26,7 @@ class SparseForm:
     Rows are changes, slacks, rates over limits, clearances.
 
     Attributes:
+        points: Number of clearances of each way-point.
         hessian: Upper triangle of P.
         rows: A.
         gradient, lower, upper: q and the rows' bounds.
@@ -42,6 +43,7 @@ class SparseForm:
         self._m, self._n = len(constants.basis), len(constants.coupling_weights)
         self._set_up_hessian(constants)
         self._set_up_rows(constants, points)
+        self.points = points
         self.gradient = np.zeros(self._m * (self._n + 1))
 
     def fill(self, qp: WaypointQP) -> None:
@@ -58,7 +60,11 @@ class SparseForm:
         gradient[:, :n], gradient[:, n] = self._basis.T @ qp.gradient, qp.penalty
         near = np.isfinite(qp.clearances)
         jacobians = np.where(near[:, :, None], qp.clearance_jacobians, 0.0)
-        self.rows.data[self._clearance_places] = self._clearance_shares * jacobians.ravel()[self._clearance_entries]
+        entries = self._clearance_shares * jacobians.ravel()[self._clearance_entries]
+        if qp.rate_jacobians is not None:
+            by_rate = np.where(near[:, :, None], qp.rate_jacobians, 0.0)
+            entries += self._velocity_shares * by_rate.ravel()[self._clearance_entries]
+        self.rows.data[self._clearance_places] = entries
         rates = qp.shares.ravel()
         self.lower = np.concatenate([
             qp.lower.ravel(), np.zeros(m), -1.0 - rates, np.where(near, -qp.clearances, -_FAR).ravel()])
@@ -93,7 +99,8 @@ class SparseForm:
         changes = _for_each_joint(basis, np.ones((m, n)))
         limited = _for_each_joint(rates, constants.rate_limits)
         slacks = (np.arange(m), np.arange(m) * (n + 1) + n, np.ones(m))
-        way, near = np.nonzero(basis)
+        velocity = _without_rounding(constants.velocity @ basis)
+        way, near = np.nonzero((basis != 0) | (velocity != 0))
         at, point, joint = (v.ravel() for v in np.meshgrid(
             np.arange(len(way)), np.arange(points), np.arange(n), indexing="ij"))
         of_changes = (way[at] * points + point, near[at] * (n + 1) + joint, np.zeros(len(at)))
@@ -105,6 +112,7 @@ class SparseForm:
         self.rows, places = _pattern(row, np.concatenate([p[1] for p in parts]), (count, m * (n + 1)))
         self.rows.data[places] = np.concatenate([p[2] for p in parts])
         self._clearance_places, self._clearance_shares = places[: len(at)], basis[way[at], near[at]]
+        self._velocity_shares = velocity[way[at], near[at]]
         self._clearance_entries = (way[at] * points + point) * n + joint
 
 

@@ -12,7 +12,7 @@ from unifeed_ros.core.planning.subproblem import Subproblem
 from unifeed_ros.core.types import Array
 
 PENALTY = 50.0
-"""Cost of a metre below the floor at one way-point, in the reward's spread [1/m]."""
+"""Cost of a metre below a bound at one way-point, in the reward's spread [1/m]."""
 _FIRST_CURVATURE = 0.5
 _SMALLEST_RADIUS = 1e-3
 _SHRINK = 0.6
@@ -63,7 +63,7 @@ def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evalua
 
 
 def merit(at: Evaluation) -> float:
-    """Compute the l1 merit function: cost and penalty for what is below the floor [1]."""
+    """Compute the l1 merit function: cost and penalty for what is below its bound [1]."""
     return at.cost + PENALTY * float(at.shortfalls.sum())
 
 

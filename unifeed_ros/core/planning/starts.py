@@ -57,7 +57,7 @@ class StartRepair:
         """Find the feasible way-points nearest to wanted ones, starting from a base inside the position limits."""
         problem = self._problem
         m, n = len(problem.free), problem.joints
-        free, lower, upper = base[problem.free], problem.bounds.lower, problem.bounds.upper
+        free, lower, upper = base[problem.free], problem.lower, problem.upper
         change = self._solver.solve(WaypointQP(
             gradient=free - wanted[problem.free], blocks=np.tile(np.eye(n), (m, 1, 1)), lower=lower - free,
             upper=upper - free, shares=problem.rate_shares(base), clearances=np.zeros((m, 0)),
@@ -72,7 +72,7 @@ class StartRepair:
 
 def straight_line(problem: PlanningProblem) -> Array:
     """Go from start to goal on a joint-space line, speeding up and slowing down, shape (H, n) [rad]."""
-    goal = problem.start if problem.goal is None else problem.goal
+    goal = problem.start if problem.aim is None else problem.aim
     return problem.start + rest_to_rest(problem.count)[:, None] * (goal - problem.start)
 
 
@@ -99,7 +99,7 @@ def start_motions(problem: PlanningProblem, repair: StartRepair, seeds: Sequence
         yield repair(_with_ends(frozen_array("seed of the search", seed, line.shape), problem))
     rng = np.random.default_rng(config.seed)
     share = rest_to_rest(problem.count)[:, None]
-    bump = share if problem.goal is None else 4.0 * share * (1.0 - share)
+    bump = share if problem.aim is None else 4.0 * share * (1.0 - share)
     for _ in range(config.starts - 1 - len(seeds)):
         yield repair(line + bump * rng.normal(scale=_DEFORMATION, size=problem.joints))
 

@@ -17,6 +17,8 @@ from unifeed_ros.core.types import Array, Context
 
 Weights = NDArray[np.float32]
 
+_SMALLEST_VARIANCE = 1e-8
+"""Added to the members' variance, whose root has no slope at zero [reward^2]."""
 RATIONALITY = 5.0
 """How strongly returns decide a comparison, beta of P(x > y) = exp(beta R_x) / (exp(beta R_x) + exp(beta R_y))
 [1/reward]. Paper eq. M3 has 1; rewards between -1 and 1 must then saturate to tell near alternatives apart, and a
@@ -80,11 +82,14 @@ class RewardEnsemble:
         """Number of networks."""
         return len(self.weights[0])
 
-    def bind(self, context: Context) -> ContextReward:
+    def bind(self, context: Context, kappa: float = 0.0, among: ArrayLike | None = None) -> ContextReward:
         """Fix the scene, which makes the reward a function of the tool state alone.
 
         Args:
             context: Goal and objects.
+            kappa: How many times the members' disagreement is taken off their mean [1].
+            among: Tool states over which each member's mean is taken off before members are compared, since its
+                constant carries no meaning, shape (N, 6) [m, 1]; None: compared as they are.
 
         Returns:
             The reward for that scene.
@@ -92,7 +97,7 @@ class RewardEnsemble:
         Raises:
             InputError: The scene lacks an object that the reward is about.
         """
-        return ContextReward(self, context)
+        return ContextReward(self, context, kappa, among)
 
     def member_rewards(self, tool_states: ArrayLike, context: Context) -> Array:
         """Compute every member's reward of each state.
@@ -176,9 +181,13 @@ class RewardEnsemble:
 
 
 class ContextReward:
-    """A reward over tool states alone: the ensemble's mean in one scene (paper eq. M10's sum, divided by m)."""
+    """A reward over tool states alone: the ensemble's mean in one scene (paper eq. M10's sum, divided by m).
 
-    def __init__(self, ensemble: RewardEnsemble, context: Context) -> None:
+    With kappa it is the mean less kappa times the standard deviation over the members.
+    """
+
+    def __init__(self, ensemble: RewardEnsemble, context: Context, kappa: float = 0.0,
+                 among: ArrayLike | None = None) -> None:
         """Fold the scene into the first layer, since the inputs are linear in the tool state."""
         matrix, offset = input_map(ensemble.inputs, context)
         weights = [w.astype(np.float64) for w in ensemble.weights]
@@ -186,6 +195,10 @@ class ContextReward:
         biases[0] = biases[0] + offset @ weights[0][:, None]
         weights[0] = matrix @ weights[0]
         self._weights, self._biases, self._activate = weights, biases, ACTIVATIONS[ensemble.activation]
+        self._kappa = kappa
+        self._constants: Array = np.zeros((len(weights[0]), 1))
+        if kappa and among is not None:
+            self._constants = self.member_rewards(among).mean(axis=1, keepdims=True)
 
     def member_rewards(self, tool_states: ArrayLike) -> Array:
         """Compute every member's reward of each state.
@@ -202,7 +215,7 @@ class ContextReward:
         return self._forward(_require_states(tool_states))[0]
 
     def value_and_gradient(self, tool_states: ArrayLike) -> tuple[Array, Array]:
-        """Compute the mean reward of each state and its gradient.
+        """Compute the reward of each state, mean less kappa times disagreement, and its gradient.
 
         Args:
             tool_states: Tool states, shape (N, 6) [m, 1].
@@ -219,7 +232,14 @@ class ContextReward:
             backward = backward @ weight.transpose(0, 2, 1)
             if slope is not None:
                 backward *= slope
-        return rewards.mean(axis=0), backward.mean(axis=0)
+        mean, gradient = rewards.mean(axis=0), backward.mean(axis=0)
+        if not self._kappa:
+            return mean, gradient
+        centred = rewards - self._constants
+        apart = centred - centred.mean(axis=0)
+        spread = np.sqrt((apart**2).mean(axis=0) + _SMALLEST_VARIANCE)
+        by_state = (apart[..., None] * backward).mean(axis=0) / spread[:, None]
+        return mean - self._kappa * spread, gradient - self._kappa * by_state
 
     def _forward(self, states: Array) -> tuple[Array, list[Array]]:
         """Run all members at once; returns their rewards (m, N) and the slopes of the activations (m, N, width)."""
