@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -17,6 +17,7 @@ from unifeed_ros.core.reward.config import TrainingConfig, TrainingResult
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.losses import LossTerms
 from unifeed_ros.core.reward.networks import Comparer, Networks
+from unifeed_ros.core.reward.reliability import reliability_of
 from unifeed_ros.core.robot import RobotModel
 
 
@@ -47,6 +48,7 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
     began = time.perf_counter()
     rng = np.random.default_rng(seed)
     buffer = _build(dataset, robot, config, config.pool, config.pool, rng)
+    reliability = reliability_of(buffer, config.reliability)
     sizes = (len(buffer.inputs), *config.hidden, 1)
     with _one_thread():
         networks = Networks(sizes, config.members, rng)
@@ -54,8 +56,8 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         grown = previous is not None and set(previous.feedback_ids) <= {item.id for item in dataset.items}
         warm = config.warm_steps > 0 and previous is not None and grown and networks.load(previous, buffer.inputs)
         steps = config.warm_steps if warm else config.steps
-        _optimise(networks, buffer, config, steps, config.warm_learning_rate if warm else config.learning_rate,
-                  rng, on_progress)
+        _optimise(networks, buffer, config, reliability, steps,
+                  config.warm_learning_rate if warm else config.learning_rate, rng, on_progress)
         fresh = _build(dataset, robot, config, config.demonstration_comparisons, config.correction_comparisons, rng)
         terms, accuracy = _evaluate(networks, fresh, config.rationality)
     ensemble = RewardEnsemble(
@@ -64,17 +66,19 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         biases=tuple(b.detach().numpy()[:, 0] for b in networks.biases),
         feedback_ids=tuple(item.id for item in dataset.items), seed=seed)
     return TrainingResult(
-        ensemble=ensemble, seconds=time.perf_counter() - began, steps=steps, accuracy=accuracy,
+        ensemble=ensemble, seconds=time.perf_counter() - began, steps=steps, accuracy=accuracy, reliability=reliability,
         loss_demonstrations=_mean(terms.demonstrations, len(buffer.demonstrated)),
         loss_corrections=_mean(terms.corrections, 2 * len(buffer.corrected)),
         loss_preferences=_mean(terms.preferences, len(buffer.better)))
 
 
-def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig, steps: int, learning_rate: float,
-              rng: np.random.Generator, on_progress: Callable[[float], None] | None) -> None:
-    """Minimise eq. M9 with Adam under a cosine schedule, restarting members that die early."""
+def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig, reliability: Sequence[float],
+              steps: int, learning_rate: float, rng: np.random.Generator,
+              on_progress: Callable[[float], None] | None) -> None:
+    """Minimise eq. M9, each term times its reliability, with Adam under a cosine schedule; restart members that die."""
     comparer = Comparer(networks, buffer, config.rationality)
-    weights = (config.demonstration_comparisons, config.correction_comparisons, config.preference_comparisons)
+    comparisons = (config.demonstration_comparisons, config.correction_comparisons, config.preference_comparisons)
+    weights = [trust * count for trust, count in zip(reliability, comparisons, strict=True)]
     counts = (len(buffer.demonstrated), 2 * len(buffer.corrected), len(buffer.better))
     total = sum(w * c for w, c in zip(weights, counts, strict=True))
     each = max(1, config.batch // max(1, len(buffer.demonstrated) + len(buffer.corrected)))
