@@ -6,7 +6,7 @@ import argparse
 from importlib import import_module
 from pathlib import Path
 
-BENCHMARKS = ("reward", "planner", "lesson", "reliability")
+BENCHMARKS = ("reward", "planner", "lesson", "reliability", "queries")
 """Each has a module unifeed_ros.cli.bench_<name> with a function run(options), loaded only when it is asked for."""
 
 
@@ -19,6 +19,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
                        ("planner", "plans beside SciPy's SLSQP on the very same problems"),
                        ("lesson", "whole demos: Panda seeds 0-9 and UR10 seeds 0-4"),
                        ("reliability", "people biased in one kind of feedback: regret with weights and without"),
+                       ("queries", "regret by the number of questions, chosen ones beside random ones"),
                        ("all", "all of them, each with its defaults")):
         added[name] = names.add_parser(name, help=text, description=text)
         added[name].add_argument("--json", action="store_true", help="print JSON")
@@ -27,6 +28,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
     _add_planner_options(added["planner"])
     _add_lesson_options(added["lesson"])
     _add_reliability_options(added["reliability"])
+    _add_query_options(added["queries"])
     added["all"].set_defaults(parser=parser)
 
 
@@ -70,3 +72,9 @@ def _add_reliability_options(parser: argparse.ArgumentParser) -> None:
                         help="only these people (may be repeated): sound, short demonstrations, careless corrections, "
                              "careless rankings")
     parser.add_argument("--seeds", type=int, default=20, help="people of each kind a task (default: 20)")
+
+
+def _add_query_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--people", type=int, default=50, help="simulated people (default: 50)")
+    parser.add_argument("--questions", type=int, default=16, help="questions to each (default: 16)")
+    parser.add_argument("--demonstrated", action="store_true", help="show one motion before the questions")
