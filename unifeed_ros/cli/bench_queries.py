@@ -41,16 +41,10 @@ def measure_queries(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def query_table(figures: dict[str, Any]) -> str:
-    """Write the median curves and the questions to each regret as Markdown tables."""
+    """Write the median curves as a Markdown table, one row a question, and what they come to."""
     summary = figures["summary"]
-    lines = ["| answers | active | passive |", "| --- | --- | --- |"]
-    lines += [f"| {k + 1} | {a:.3f} | {p:.3f} |"
-              for k, (a, p) in enumerate(zip(summary["active"], summary["passive"], strict=True))]
-    lines += ["", "| median regret | questions, active | passive |", "| --- | --- | --- |"]
-    levels = {**summary["levels"], f"{summary['best_passive']:.3f} (best of passive)": summary["questions"]}
-    lines += [f"| {level} | {_count(row['active'])} | {_count(row['passive'])} |" for level, row in levels.items()]
-    return "\n".join(lines)
-
-
-def _count(number: int | None) -> str:
-    return "-" if number is None else str(number)
+    rows = zip(summary["active"], summary["passive"], summary["matched"], strict=True)
+    lines = ["| answers | active | passive | active questions for that of passive |", "| --- | --- | --- | --- |"]
+    lines += [f"| {k} | {active:.3f} | {passive:.3f} | {matched or '-'} |"
+              for k, (active, passive, matched) in enumerate(rows, start=1)]
+    return "\n".join([*lines, "", f"ratio {summary['ratio']}, of the best of passive {summary['best_ratio']}"])

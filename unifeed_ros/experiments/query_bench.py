@@ -33,8 +33,6 @@ RATIONALITY = 5.0
 """How strongly a person's own returns decide an answer [1/reward]."""
 TRAINING = TrainingConfig(waypoints=10, hidden=(32, 32), members=5, steps=100, learning_rate=1e-2)
 """Smaller than a lesson's, because every person is learned from anew after each of many answers."""
-LEVELS = (0.5, 0.3, 0.2, 0.1, 0.05)
-"""Regrets that the number of questions is told of [1]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,22 +87,26 @@ def compare_curves(active: Sequence[Sequence[float]], passive: Sequence[Sequence
         passive: The same, asked at random.
 
     Returns:
-        Median regrets by the number of answers, the number that first brings the median to each of LEVELS (None:
-        never), the best that random questions reach and the number of each way to it, and the ratio of those numbers.
+        Median regrets by the number of answers; `matched`: how many chosen questions first bring the median to that of
+        as many random ones as the place in the list says (None: never); `ratio`: that number for all random questions,
+        over their number; `best_ratio`: the same for the lowest median of random questions, over the number that first
+        reaches it. The second is stricter, since random questions may end worse than they once were.
     """
-    curves = {"active": np.median(active, axis=0), "passive": np.median(passive, axis=0)}
-    best = float(curves["passive"].min())
-    first = {name: questions_to(curve, best) for name, curve in curves.items()}
-    return {**{name: curve.tolist() for name, curve in curves.items()},
-            "levels": {str(level): {n: questions_to(c, level) for n, c in curves.items()} for level in LEVELS},
-            "best_passive": best, "questions": first,
-            "ratio": first["active"] / first["passive"] if first["active"] and first["passive"] else None}
+    curve, other = np.median(active, axis=0), np.median(passive, axis=0)
+    matched = [questions_to(curve, level) for level in other]
+    best = int(np.argmin(other))
+    return {"active": curve.tolist(), "passive": other.tolist(), "matched": matched,
+            "ratio": _share(matched[-1], len(other)), "best_ratio": _share(matched[best], best + 1)}
 
 
 def questions_to(curve: ArrayLike, level: float) -> int | None:
     """Count the answers after which a curve first is at a level; None if it never is."""
     reached = np.flatnonzero(np.asarray(curve) <= level)
     return int(reached[0]) + 1 if len(reached) else None
+
+
+def _share(part: int | None, whole: int) -> float | None:
+    return None if part is None else part / whole
 
 
 @dataclass(frozen=True, kw_only=True)

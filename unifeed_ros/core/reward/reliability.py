@@ -33,8 +33,9 @@ DECISIVENESS = 20.0
 """Root-mean-square of how strongly rewards decide the comparisons, before any was answered [nat]."""
 REACH = 0.5
 """Distance over which a reward changes on its own [m, rad]."""
-ALTERNATIVES = 24
-"""Alternatives of each demonstration and each correction that are weighed; more take longer."""
+ALTERNATIVES, MOST = 24, 96
+"""About how many alternatives of each demonstration and each correction are weighed, and how many of each kind at most:
+time grows with the cube of their number."""
 WAVES = 64
 """Random waves that a reward over one group of inputs is made of."""
 _ITERATIONS = 50
@@ -123,7 +124,8 @@ def _differences(buffer: RankingsBuffer) -> list[Array]:
     versus = []
     for indices, alternatives in ((buffer.demonstrated, buffer.demonstration_alternatives),
                                   (buffer.corrected, buffer.correction_alternatives)):
-        some = alternatives[:, ::max(1, alternatives.shape[1] // ALTERNATIVES)]
+        each = max(1, min(ALTERNATIVES, MOST // max(1, len(indices))))
+        some = alternatives[:, ::max(1, alternatives.shape[1] // each)]
         versus.append((shown[indices][:, None] - _features(buffer.inputs, some)).reshape(-1, shown.shape[-1]))
     corrections = np.concatenate([shown[buffer.corrected] - shown[buffer.planned], versus[1]])
     differences = [versus[0], corrections, shown[buffer.better] - shown[buffer.worse]]
