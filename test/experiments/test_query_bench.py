@@ -22,19 +22,21 @@ def robot():
 
 def test_who_asks_alike_needs_as_many_questions():
     curves = np.random.default_rng(0).uniform(size=(7, 9))
-    assert compare_curves(curves, curves)["ratio"] == 1.0
+    compared = compare_curves(curves, curves)
+    assert compared["best_ratio"] == 1.0
+    assert all(number <= k for k, number in enumerate(compared["matched"], start=1))
 
 
 def test_who_learns_twice_as_fast_needs_half_the_questions():
     passive = 1.0 - 0.1 * np.arange(1, 9)
     active = 1.0 - 0.2 * np.arange(1, 9)
     compared = compare_curves([active] * 3, [passive] * 3)
-    assert (compared["questions"], compared["ratio"]) == ({"active": 4, "passive": 8}, 0.5)
-    assert compared["levels"]["0.5"] == {"active": 3, "passive": 5}
+    assert compared["matched"] == [1, 1, 2, 2, 3, 3, 4, 4]
+    assert (compared["ratio"], compared["best_ratio"]) == (0.5, 0.5)
 
 
 def test_who_never_gets_there_has_no_ratio():
-    assert compare_curves([[0.9, 0.8]], [[0.5, 0.4]])["ratio"] is None
+    assert compare_curves([[0.9, 0.8]], [[0.5, 0.4]])["best_ratio"] is None
 
 
 def test_motions_begin_together_and_end_apart(robot):

@@ -90,7 +90,9 @@ def estimate_reliability(buffer: RankingsBuffer) -> tuple[float, float, float]:
 
     Every set S of kinds may be the sound one. Rewards are then Gaussian processes, the same one for all kinds in S,
     and one with the correlation LIKENESS to it for each other kind: P(S) ~ p(answers | S) exp(TRUST |S|). A kind's
-    weight is the sum of P(S) over the sets that it is in, divided by the largest.
+    weight is the sum of P(S) over the sets that it is in, divided by the largest. Known weakness: where two kinds
+    conflict, the third decides, and may be about something else; a reward that changes more abruptly than REACH looks
+    like a conflict.
 
     Args:
         buffer: The comparisons.
