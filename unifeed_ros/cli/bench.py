@@ -6,7 +6,7 @@ import argparse
 from importlib import import_module
 from pathlib import Path
 
-BENCHMARKS = ("reward", "planner", "lesson")
+BENCHMARKS = ("reward", "planner", "lesson", "reliability", "queries")
 """Each has a module unifeed_ros.cli.bench_<name> with a function run(options), loaded only when it is asked for."""
 
 
@@ -18,6 +18,8 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
     for name, text in (("reward", "training beside the paper's procedure, with the quality of both"),
                        ("planner", "plans beside SciPy's SLSQP on the very same problems"),
                        ("lesson", "whole lessons, and how far the last motion is from the best"),
+                       ("reliability", "people biased in one kind of feedback: regret with weights and without"),
+                       ("queries", "regret by the number of questions, chosen ones beside random ones"),
                        ("all", "all of them, each with its defaults")):
         added[name] = names.add_parser(name, help=text, description=text)
         added[name].add_argument("--json", action="store_true", help="print JSON")
@@ -25,6 +27,8 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
     _add_reward_options(added["reward"])
     _add_planner_options(added["planner"])
     _add_lesson_options(added["lesson"])
+    _add_reliability_options(added["reliability"])
+    _add_query_options(added["queries"])
     added["all"].set_defaults(parser=parser)
 
 
@@ -66,3 +70,17 @@ def _add_lesson_options(parser: argparse.ArgumentParser) -> None:
                         help="without ROS, in one process, many times faster than real time; the same core code")
     parser.add_argument("--speed", type=float, default=1.0, help="simulated seconds per second (default: 1)")
     parser.add_argument("--out", type=Path, help="folder for the lessons (default: out/bench-<date>-<time>)")
+
+
+def _add_reliability_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--task", action="append", help="only this task (may be repeated; default: table, cup)")
+    parser.add_argument("--people", action="append", metavar="KIND",
+                        help="only these people (may be repeated): sound, short demonstrations, careless corrections, "
+                             "careless rankings")
+    parser.add_argument("--seeds", type=int, default=20, help="people of each kind a task (default: 20)")
+
+
+def _add_query_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--people", type=int, default=50, help="simulated people (default: 50)")
+    parser.add_argument("--questions", type=int, default=16, help="questions to each (default: 16)")
+    parser.add_argument("--demonstrated", action="store_true", help="show one motion before the questions")

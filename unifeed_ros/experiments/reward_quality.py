@@ -91,8 +91,8 @@ def _taught(name: str, letter: str, place: Yardstick, person: SimulatedPerson, e
             rng: np.random.Generator) -> FeedbackItem:
     robot, scene = place.robot, place.task.scene
     common: dict[str, Any] = {"id": name, "robot": robot.config.name, "context": scene.context()}
-    optimum = _retimed(place.optimum, PACE * place.optimum.duration)
-    line = _retimed(straight_line(robot, scene, POINTS), optimum.duration)
+    optimum = retimed(place.optimum, PACE * place.optimum.duration)
+    line = retimed(straight_line(robot, scene, POINTS), optimum.duration)
     if letter == "P":
         options = tuple(vary_trajectory(robot, line, 0.15, 2, rng))
         return Preference(**common, options=options, ranks=person.rank(options))
@@ -120,7 +120,7 @@ def unseen_motions(yardstick: Yardstick, waypoints: int, seed: int = 0) -> list[
         start, goal = rng.uniform(*WORKSPACE, size=(2, 3))
         scene = replace(yardstick.task.scene, start=start, goal=goal)
         try:
-            line = _retimed(straight_line(yardstick.robot, scene, POINTS), 4.0)
+            line = retimed(straight_line(yardstick.robot, scene, POINTS), 4.0)
         except UnreachableError:
             continue
         motions = [line, *vary_trajectory(yardstick.robot, line, 0.15, MOTIONS - 1, rng)]
@@ -157,12 +157,13 @@ def dead_members(ensemble: RewardEnsemble, unseen: list[UnseenMotions]) -> int:
     return int((spread < SPREAD).sum())
 
 
-def planned_regret(ensemble: RewardEnsemble, yardstick: Yardstick) -> float:
+def planned_regret(ensemble: RewardEnsemble, yardstick: Yardstick, *, free_end: bool = False) -> float:
     """Plan with a learned reward where it was taught, and judge the motion by the true one.
 
     Args:
         ensemble: Learned reward.
         yardstick: The arm, the task, and its optimum with the same number of way-points.
+        free_end: Plan to wherever the reward leads, not to the task's goal.
 
     Returns:
         Normalised regret (paper eq. s1 over the straight line's), 0 the optimum, 1 not learning. A search that finds no
@@ -170,12 +171,14 @@ def planned_regret(ensemble: RewardEnsemble, yardstick: Yardstick) -> float:
     """
     scene = yardstick.task.scene
     start, goal = endpoints(yardstick.robot, scene)
-    plan = plan_motion(yardstick.robot, ensemble.bind(scene.context()), start, goal, duration=scene.duration,
-                       scene=scene, config=PlannerConfig(waypoints=yardstick.waypoints, time_budget=60.0))
+    plan = plan_motion(yardstick.robot, ensemble.bind(scene.context()), start, None if free_end else goal,
+                       duration=scene.duration, scene=scene,
+                       config=PlannerConfig(waypoints=yardstick.waypoints, time_budget=60.0))
     return yardstick.normalised_regret(plan.trajectory) if plan.success else 1.0
 
 
-def _retimed(motion: Trajectory, duration: float) -> Trajectory:
+def retimed(motion: Trajectory, duration: float) -> Trajectory:
+    """Give a motion another duration [s] and POINTS points."""
     return Trajectory(joint_names=motion.joint_names, times=np.linspace(0.0, duration, POINTS),
                       positions=motion.resampled(POINTS))
 

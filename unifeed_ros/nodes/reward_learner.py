@@ -17,6 +17,7 @@ from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackI
 from unifeed_ros.core.reward.config import TrainingConfig, TrainingResult
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.queries import QueryConfig
+from unifeed_ros.core.reward.reliability import KINDS
 from unifeed_ros.core.types import Context, Trajectory
 from unifeed_ros.nodes.conversions import (
     context_from_msg,
@@ -52,6 +53,7 @@ class RewardLearnerNode(UnifeedNode):
         self._dataset = FeedbackDataset(self._robot.config.name, self._robot.joint_names)
         self._model: RewardEnsemble | None = None
         self._version = 0
+        self._reliability = (1.0, 1.0, 1.0)
         self._motions: list[Trajectory] = []
         self._query: PreferenceQuery | None = None
         self._queries_asked = 0
@@ -137,11 +139,17 @@ class RewardLearnerNode(UnifeedNode):
         self._models.publish(model_to_msg(self._model, self._time))
         for name in ("seconds", "loss_demonstrations", "loss_corrections", "loss_preferences", "accuracy"):
             setattr(response, name, float(getattr(result, name)))
+        self._reliability = result.reliability
+        for name, weight in self._trust().items():
+            setattr(response, name, weight)
         response.success, response.version, response.steps = True, self._version, int(result.steps)
         response.message = (
             f"model {self._version} learned from {len(self._dataset.items)} inputs in {result.seconds:.2f} s; "
             f"it ranks {100 * result.accuracy:.0f} % of fresh comparisons as you did"
         )
+        doubted = [kind for kind, weight in zip(KINDS, result.reliability, strict=True) if weight < 0.5]
+        if doubted:
+            response.message += f"; {' and '.join(doubted)} contradict the rest and weigh less"
         self.say(OK, response.message)
 
     # Questions.
@@ -217,6 +225,10 @@ class RewardLearnerNode(UnifeedNode):
         response.summaries = [_summary(item) for item in items]
         return f"{len(items)} inputs"
 
+    def _trust(self) -> dict[str, float]:
+        """Give the newest model's reliability of each kind of feedback by the name of its message's field."""
+        return {f"reliability_{kind}": weight for kind, weight in zip(KINDS, self._reliability, strict=True)}
+
     def _past_motions(self) -> list[Trajectory]:
         motions: list[Trajectory] = []
         for item in self._dataset.items:
@@ -245,6 +257,7 @@ class RewardLearnerNode(UnifeedNode):
                 demonstrations=demonstrations,
                 corrections=corrections,
                 preferences=preferences,
+                **self._trust(),
                 progress=self._worker.progress if self._busy else 1.0,
                 state=RewardStatus.TRAINING if self._busy else RewardStatus.FAILED if failed else RewardStatus.IDLE,
                 message=self._status.message,

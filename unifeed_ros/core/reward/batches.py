@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -36,12 +36,14 @@ class Batches:
         comparisons: Which of a step's motions beats which; the same in each step.
     """
 
-    def __init__(self, buffer: RankingsBuffer, config: TrainingConfig) -> None:
+    def __init__(self, buffer: RankingsBuffer, config: TrainingConfig,
+                 reliability: Sequence[float] = (1.0, 1.0, 1.0)) -> None:
         """Lay the buffer's motions out for drawing.
 
         Args:
             buffer: Shown motions and their alternatives.
             config: Settings.
+            reliability: Weights of demonstrations, corrections and preferences.
         """
         self._members, self._shown = config.members, len(buffer.shown)
         self._groups = len(buffer.demonstrated) + len(buffer.corrected)
@@ -51,7 +53,7 @@ class Batches:
         alternatives = (buffer.demonstration_alternatives, buffer.correction_alternatives)
         rows = np.concatenate([buffer.shown, *(a.reshape(-1, *buffer.shown.shape[1:]) for a in alternatives)])
         self._parts = every_kth(rows, self._stride)
-        self.comparisons = _comparisons(buffer, config, self._each)
+        self.comparisons = _comparisons(buffer, config, reliability, self._each)
 
     def draw(self, steps: int, rng: np.random.Generator) -> Iterator[tuple[Tensor, float]]:
         """Draw the motions of each step: all that were shown, then each member's own choice of alternatives.
@@ -74,12 +76,14 @@ class Batches:
             yield picked.view(*chosen.shape, *motions.shape[1:]), float(self._stride)
 
 
-def _comparisons(buffer: RankingsBuffer, config: TrainingConfig, each: int) -> Comparisons:
+def _comparisons(buffer: RankingsBuffer, config: TrainingConfig, reliability: Sequence[float],
+                 each: int) -> Comparisons:
     """Pair the motions of a step: shown ones first, then `each` alternatives of each demonstration and correction."""
     winners = np.concatenate([buffer.demonstrated, buffer.corrected])
-    kinds = ((np.repeat(buffer.demonstrated, each), config.demonstration_comparisons / each),
-             (np.repeat(buffer.corrected, each), config.correction_comparisons / each),
-             (buffer.corrected, config.correction_comparisons), (buffer.better, config.preference_comparisons))
+    counts = (config.demonstration_comparisons, config.correction_comparisons, config.preference_comparisons)
+    shown, led, ranked = (trust * count for trust, count in zip(reliability, counts, strict=True))
+    kinds = ((np.repeat(buffer.demonstrated, each), shown / each), (np.repeat(buffer.corrected, each), led / each),
+             (buffer.corrected, led), (buffer.better, ranked))
     alternatives = len(buffer.shown) + np.arange(each * len(winners))
     weights = np.concatenate([np.full(len(better), weight) for better, weight in kinds])
     return Comparisons(

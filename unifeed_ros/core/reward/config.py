@@ -9,6 +9,7 @@ from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.reward.activations import require_activation
 from unifeed_ros.core.reward.buffer import AlternativesConfig
 from unifeed_ros.core.reward.ensemble import RATIONALITY, RewardEnsemble
+from unifeed_ros.core.reward.reliability import ESTIMATE, check_reliability
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +37,9 @@ class TrainingConfig:
     """Weight of eq. M6 in the sum N_q: how often each ranked pair stands in the buffer. Less than the others because
     the better of two motions, unlike what was shown, need not be good, and because questions are about near motions,
     which a person often ranks wrongly: one such answer, repeated, bends the reward until it agrees."""
+    reliability: str | Sequence[float] = ESTIMATE
+    """How far each kind of feedback is trusted, a factor on its weight: "estimate", from how it agrees with the others,
+    or fixed factors of demonstrations, corrections and preferences, 0 to 1 [1]."""
     pool: int = 1000
     """Alternatives drawn of each demonstration and each correction, which the steps choose from. More than the paper's
     N_d and N_c, which stay the weights: what 200 of them happened to leave out differs from seed to seed by more than
@@ -61,6 +65,7 @@ class TrainingConfig:
     def __post_init__(self) -> None:
         """Reject values that would only fail in the middle of a lesson."""
         object.__setattr__(self, "hidden", tuple(int(w) for w in self.hidden))
+        object.__setattr__(self, "reliability", check_reliability(self.reliability))
         least = {"members": 2, "waypoints": 4, "demonstration_comparisons": 1, "correction_comparisons": 1,
                  "preference_comparisons": 1, "pool": 1, "compared_waypoints": 1,
                  "batch": 1, "steps": 1, "warm_steps": 0}
@@ -97,3 +102,5 @@ class TrainingResult:
     """Mean cross-entropy of a ranked pair, eq. M6 [nat]."""
     accuracy: float
     """Share of fresh comparisons that the ensemble's mean decides as the person did, 0 to 1."""
+    reliability: tuple[float, float, float]
+    """How far demonstrations, corrections and preferences were trusted, 0 to 1."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -13,6 +13,7 @@ from torch import Tensor
 
 from unifeed_ros.core.errors import TrainingError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
+from unifeed_ros.core.feedback.items import Correction
 from unifeed_ros.core.reward.adam import Adam
 from unifeed_ros.core.reward.batches import Batches
 from unifeed_ros.core.reward.buffer import RankingsBuffer, build_buffers
@@ -21,6 +22,7 @@ from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.gradients import LossGradient
 from unifeed_ros.core.reward.losses import LossTerms, correction_loss, demonstration_loss, preference_loss
 from unifeed_ros.core.reward.networks import Networks
+from unifeed_ros.core.reward.reliability import reliability_of
 from unifeed_ros.core.robot import RobotModel
 
 LEAST_SLOPE = 0.05
@@ -59,15 +61,15 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
     buffer, fresh = build_buffers(dataset, robot, waypoints=config.waypoints,
                                   alternatives=[(config.pool, config.pool), (FRESH, FRESH)],
                                   config=config.alternatives, rng=rng)
+    reliability = reliability_of(buffer, config.reliability)
     sizes = (len(buffer.inputs), *config.hidden, 1)
     with _one_thread():
         networks = Networks(sizes, config.members, rng, config.activation)
-        # a model that knows an input that was taken back since would keep a trace of it
-        grown = previous is not None and set(previous.feedback_ids) <= {item.id for item in dataset.items}
-        warm = config.warm_steps > 0 and previous is not None and grown and _take_over(networks, previous, buffer)
+        warm = (config.warm_steps > 0 and previous is not None and _continues(previous, dataset)
+                and _take_over(networks, previous, buffer))
         steps = config.warm_steps if warm else config.steps
-        _optimise(networks, buffer, config, steps, config.warm_learning_rate if warm else config.learning_rate,
-                  rng, on_progress)
+        _optimise(networks, buffer, config, reliability, steps,
+                  config.warm_learning_rate if warm else config.learning_rate, rng, on_progress)
         terms, accuracy = _evaluate(networks, fresh, config.rationality)
     ensemble = RewardEnsemble(
         version=version, robot=dataset.robot, frame=robot.config.base_frame, inputs=buffer.inputs, layer_sizes=sizes,
@@ -76,10 +78,21 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         feedback_ids=tuple(item.id for item in dataset.items), seed=seed,
         activation=config.activation)
     return TrainingResult(
-        ensemble=ensemble, seconds=time.perf_counter() - began, steps=steps, accuracy=accuracy,
+        ensemble=ensemble, seconds=time.perf_counter() - began, steps=steps, accuracy=accuracy, reliability=reliability,
         loss_demonstrations=_mean(terms.demonstrations, len(buffer.demonstrated)),
         loss_corrections=_mean(terms.corrections, 2 * len(buffer.corrected)),
         loss_preferences=_mean(terms.preferences, len(buffer.better)))
+
+
+def _continues(previous: RewardEnsemble, dataset: FeedbackDataset) -> bool:
+    """Tell whether a model may be gone on from.
+
+    Not if an input was taken back since, of which it would keep a trace; nor after a correction, which says that the
+    model is wrong: in as few steps, going on from it learns less of it than starting anew.
+    """
+    known = set(previous.feedback_ids)
+    return known <= {item.id for item in dataset.items} and not any(
+        isinstance(item, Correction) and item.id not in known for item in dataset.items)
 
 
 def _take_over(networks: Networks, previous: RewardEnsemble, buffer: RankingsBuffer) -> bool:
@@ -98,10 +111,11 @@ def _take_over(networks: Networks, previous: RewardEnsemble, buffer: RankingsBuf
     return False
 
 
-def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig, steps: int, learning_rate: float,
-              rng: np.random.Generator, on_progress: Callable[[float], None] | None) -> None:
-    """Minimise eq. M9 with Adam under a cosine schedule, restarting members that die early."""
-    batches, adam = Batches(buffer, config), Adam(networks.flat, networks.gradient)
+def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig, reliability: Sequence[float],
+              steps: int, learning_rate: float, rng: np.random.Generator,
+              on_progress: Callable[[float], None] | None) -> None:
+    """Minimise eq. M9, each term times its reliability, with Adam under a cosine schedule; restart members that die."""
+    batches, adam = Batches(buffer, config, reliability), Adam(networks.flat, networks.gradient)
     gradient = LossGradient(networks, batches.comparisons, config.rationality)
     weights, slopes = networks.flat[:networks.matrix_entries], networks.gradient[:networks.matrix_entries]
     shown = torch.from_numpy(buffer.shown).expand(config.members, *buffer.shown.shape)
