@@ -15,7 +15,7 @@ from rclpy.task import Future
 from unifeed_msgs.action import OptimizeTrajectory
 from unifeed_msgs.msg import RewardModel
 from unifeed_ros.core.errors import InputError, PlanningError, UnifeedError
-from unifeed_ros.core.planning.plan import Plan, PlannerConfig, PlanProgress, plan_motion
+from unifeed_ros.core.planning.plan import Plan, PlannerConfig, PlanProgress, ToolGoal, plan_motion
 from unifeed_ros.core.reward.ensemble import ContextReward, RewardEnsemble
 from unifeed_ros.core.types import Array, Context
 from unifeed_ros.nodes.conversions import context_from_msg, model_from_msg, trajectory_to_msg
@@ -109,7 +109,7 @@ class TrajectoryOptimizerNode(UnifeedNode):
             self._robot,
             self._bound(model, context, start, end) if model else None,
             start,
-            end,
+            end if goal.goal or goal.smoothest else self._fixed_goal(context, end),
             duration=goal.duration or (0.0 if goal.smoothest else self._scene.duration),
             scene=self._scene,
             config=config,
@@ -125,6 +125,12 @@ class TrajectoryOptimizerNode(UnifeedNode):
         """Bind the model; members are compared over the straight line."""
         line = start + np.linspace(0.0, 1.0, self._config.waypoints)[:, None] * (end - start)
         return model.bind(context, self._config.kappa, self._robot.tool_states(line))
+
+    def _fixed_goal(self, context: Context, posture: Array) -> Array | ToolGoal | None:
+        """Fix the goal as the parameters say."""
+        kinds = {"posture": posture, "pose": ToolGoal(position=context.goal, axis=self._scene.axis),
+                 "position": ToolGoal(position=context.goal), "free": None}
+        return kinds[self._config.goal]
 
     def _goal_posture(self, context: Context) -> Array:
         if np.allclose(context.goal, self._scene.goal):

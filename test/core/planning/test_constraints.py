@@ -125,6 +125,15 @@ def test_the_arms_own_bodies_are_apart_at_the_tasks_ends_and_meet_when_folded(ca
     assert 0.02 < touching < 0.6
 
 
+def test_capsules_that_touch_at_the_start_may_stay_as_close_but_not_closer(panda):
+    """Fingers just over the table: their capsules are longer than they."""
+    low = panda.robot.inverse_kinematics((0.5, 0.0, 0.01), seed=panda.start)
+    clearance = motion_bounds(panda.robot, panda.scene, low, panda.goal, CONFIG).constraints[1]
+    at = clearance.evaluate(Kinematics(panda.robot).evaluate(low[None]), np.zeros((1, 7)), 0.1).values[0]
+    assert at.min() < 0.0
+    np.testing.assert_allclose(clearance.bounds, np.minimum(at, CONFIG.body_clearance), atol=1e-12)
+
+
 @pytest.mark.parametrize(("changes", "text"), [
     ({"zones": {"ball": {"shape": "sphere", "position": (0.2, 0.2, 0.6), "size": (0.1,)}}}, "start .*zone ball: dist"),
     ({"zones": {"ball": {"shape": "sphere", "position": (0.65, -0.4, 0.1), "size": (0.1,)}}}, "goal .*zone ball: dist"),

@@ -262,7 +262,8 @@ def test_a_reward_that_breaks_on_the_way_is_a_planning_error(panda, rewards):
 
 
 @pytest.mark.parametrize("setting", [{"waypoints": 4}, {"starts": 0}, {"time_budget": 0.0}, {"smoothness": -1.0},
-                                     {"margin": 0.9}, {"max_slowdown": 0.5}, {"tolerance": float("nan")}])
+                                     {"margin": 0.9}, {"max_slowdown": 0.5}, {"tolerance": float("nan")},
+                                     {"goal": "near"}, {"body_clearance": -1.0}, {"jerk_limit": -1.0}])
 def test_settings_that_cannot_work_are_refused(setting):
     with pytest.raises(ConfigError, match=next(iter(setting))):
         PlannerConfig(**setting)

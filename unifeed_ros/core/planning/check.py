@@ -194,13 +194,13 @@ def check_motion(trajectory: Trajectory, bounds: MotionBounds) -> MotionCheck:
 def _allowing(one: Constraint, kinematics: Kinematics, ends: Array) -> Constraint:
     """Lower bounds to what the ends of a motion have, down to the least that is allowed."""
     values = one.evaluate(kinematics.evaluate(ends), np.zeros(ends.shape), NEAR).values
-    worst = int(np.argmin(values[0]))
-    if values[0, worst] < one.least:
-        raise PlanningError("start of the motion: " + one.say(one.names[worst], values[0, worst], one.least),
+    least = np.broadcast_to(one.least, one.bounds.shape)
+    for worst in np.flatnonzero(values[0] < least).tolist():
+        raise PlanningError("start of the motion: " + one.say(one.names[worst], values[0, worst], least[worst]),
                             mend="move the arm by hand")
     bounds = np.minimum(one.bounds, values[0])
     low = int(np.argmin(values[-1] - bounds))
-    if values[-1, low] < max(bounds[low] - _GOAL_TOLERANCE, one.least):
+    if values[-1, low] < max(bounds[low] - _GOAL_TOLERANCE, least[low]):
         raise PlanningError("goal of the motion: " + one.say(one.names[low], values[-1, low], bounds[low]),
                             mend="choose another goal, or mend the scene")
     return replace(one, bounds=np.minimum(bounds, values[-1]))

@@ -35,6 +35,9 @@ def clearance_constraint(robot: RobotModel, zones: Mapping[str, Zone], table_hei
                          distance: float) -> Constraint:
     """Keep the arm's capsules away from zones, from the table and from each other.
 
+    A start whose capsules touch the table or each other is taken for apart, since capsules are larger than the arm and
+    a real arm is not in its own way; the motion then comes no closer. A start inside a zone is refused.
+
     Args:
         robot: The arm.
         zones: What to keep out of.
@@ -51,6 +54,8 @@ def clearance_constraint(robot: RobotModel, zones: Mapping[str, Zone], table_hei
     pairs = [*self_pairs(capsules), *((k, j) for j in range(len(capsules), len(things)) for k in bodies)]
     names = [*(f"{capsules[k].name} to {_TABLE}" for k, _ in over_table),
              *(f"{things[i].hull.name} to {things[j].hull.name}" for i, j in pairs)]
+    of_zones = np.array([j >= len(capsules) for _, j in pairs], dtype=bool)
+    least = np.concatenate([np.full(len(over_table), -np.inf), np.where(of_zones, 0.0, -np.inf)])
     first, second = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
     segments = _by_body([t.hull for t in things])
     radii, reaches = np.array([t.hull.radius for t in things]), np.array([t.hull.reach for t in things])
@@ -78,7 +83,7 @@ def clearance_constraint(robot: RobotModel, zones: Mapping[str, Zone], table_hei
         return Values(values, jacobians)
 
     return Constraint(
-        names=tuple(names), bounds=np.full(len(names), distance), least=0.0, margin=_MARGIN, evaluate=evaluate,
+        names=tuple(names), bounds=np.full(len(names), distance), least=least, margin=_MARGIN, evaluate=evaluate,
         say=lambda name, value, bound: f"{name}: distance {value:.4f} m, at least {bound:.4f} m")
 
 

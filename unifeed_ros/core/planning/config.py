@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.planning.qp import SOLVERS, SolverName
+
+GoalKind = Literal["posture", "pose", "position", "free"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +47,9 @@ class PlannerConfig:
     """Planned is the mean reward less this many times the ensemble's disagreement; 0: the mean (paper eq. M10) [1]."""
     jerk_limit: float = 0.0
     """Largest jerk of a joint between the ends of a motion [rad/s^3]; 0: any."""
+    goal: GoalKind = "posture"
+    """How the task's goal is fixed where a request gives no joint positions: as a posture, as the tool's pose, as its
+    position alone, or free, wherever the reward leads."""
     goal_tolerance: float = 1e-3
     """Largest distance from a goal that is given as a position or a pose, by coordinate [m, 1]."""
     slack: float = 1.5
@@ -65,6 +71,8 @@ class PlannerConfig:
             raise ConfigError("waypoints", expected=">= 5", got=self.waypoints)
         if self.qp_solver not in SOLVERS:
             raise ConfigError("qp_solver", expected=", ".join(SOLVERS), got=self.qp_solver)
+        if self.goal not in get_args(GoalKind):
+            raise ConfigError("goal", expected=", ".join(get_args(GoalKind)), got=self.goal)
         for name in ("starts", "max_iterations"):
             if getattr(self, name) < 1:
                 raise ConfigError(name, expected=">= 1", got=getattr(self, name))

@@ -34,8 +34,8 @@ class Constraint:
     """What the P values are about."""
     bounds: Array
     """Smallest values, shape (P,)."""
-    least: float
-    """What the bounds may be lowered to where the start itself is lower; below it no motion may start."""
+    least: Array | float
+    """What the bounds may be lowered to where the start itself is lower, shape (P,); below it no motion may start."""
     margin: float
     """Distance from the bounds that way-points keep, for the spline between them."""
     evaluate: Callable[[ArmPose, Array, float], Values]
