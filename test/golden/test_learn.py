@@ -54,7 +54,7 @@ def test_models_that_went_on_from_others_are_learned_again_as_they_were(tmp_path
     dataset, models = FeedbackDataset("panda", robot.joint_names), []
 
     def learn(previous):
-        models.append(train_reward(dataset, robot, TrainingConfig(), version=len(models) + 1, seed=0,
+        models.append(train_reward(dataset, robot, TrainingConfig(), version=len(models) + 1, seed=1,
                                    previous=previous and previous.ensemble))
 
     for msg in taught:

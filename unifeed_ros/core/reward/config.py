@@ -54,7 +54,7 @@ class TrainingConfig:
     """Learning rate at the start; it falls to zero along a half cosine."""
     weight_penalty: float = 1e-3
     """Weight of the sum of squared weights of each member."""
-    warm_steps: int = 90
+    warm_steps: int = 80
     """Steps when going on from the previous model; 0: always from scratch. It is gone on from as it is: mixed with new
     weights (shrunk and perturbed), it planned worse after as many steps."""
     warm_learning_rate: float = 4e-3

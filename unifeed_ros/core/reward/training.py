@@ -104,7 +104,7 @@ def _take_over(networks: Networks, previous: RewardEnsemble, buffer: RankingsBuf
         return False
     good = buffer.shown[np.concatenate([buffer.demonstrated, buffer.corrected, buffer.better])]
     rewards = networks.rewards(torch.from_numpy(good).expand(previous.members, *good.shape))
-    if (1.0 - rewards.square()).mean(dim=-1).min() > LEAST_SLOPE:
+    if (1.0 - rewards.square()).mean(dim=-1).gt(LEAST_SLOPE).all():
         return True
     for member in range(previous.members):
         networks.restart(member)
