@@ -6,7 +6,7 @@ import argparse
 from importlib import import_module
 from pathlib import Path
 
-BENCHMARKS = ("reward", "planner", "lesson")
+BENCHMARKS = ("reward", "planner", "context", "lesson")
 """Each has a module unifeed_ros.cli.bench_<name> with a function run(options), loaded only when it is asked for."""
 
 
@@ -17,6 +17,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
     added = {}
     for name, text in (("reward", "training beside the paper's procedure, with the quality of both"),
                        ("planner", "plans beside SciPy's SLSQP on the very same problems"),
+                       ("context", "taught at two goals, tested at new goals and object places"),
                        ("lesson", "whole demos: Panda seeds 0-9 and UR10 seeds 0-4"),
                        ("all", "all of them, each with its defaults")):
         added[name] = names.add_parser(name, help=text, description=text)
@@ -24,6 +25,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
         added[name].set_defaults(run=run_bench)
     _add_reward_options(added["reward"])
     _add_planner_options(added["planner"])
+    _add_context_options(added["context"])
     _add_lesson_options(added["lesson"])
     added["all"].set_defaults(parser=parser)
 
@@ -50,6 +52,15 @@ def _add_planner_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--peer-pairs", type=int, default=5, help="pairs that the peers solve too (default: 5)")
     parser.add_argument("--peer-limit", type=float, default=60.0,
                         help="processor time after which SLSQP is ended [s] (default: 60)")
+
+
+def _add_context_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--robot", default="panda", help="the robot (default: panda)")
+    parser.add_argument("--task", action="append", help="only this task (may be repeated; default: all)")
+    parser.add_argument("--people", type=int, default=3, help="simulated people a task (default: 3)")
+    parser.add_argument("--goals", type=int, default=10, help="new goals a task (default: 10)")
+    parser.add_argument("--feedback", default="DCPDCP", metavar="LETTERS",
+                        help="what is taught, at the two goals in turn (default: DCPDCP)")
 
 
 def _add_lesson_options(parser: argparse.ArgumentParser) -> None:

@@ -12,7 +12,7 @@ from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.deformation import Ends, deform_tool_states, delay
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem
-from unifeed_ros.core.reward.features import input_map, input_names
+from unifeed_ros.core.reward.inputs import input_names, scene_inputs
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, Context, Trajectory
 
@@ -83,7 +83,8 @@ class RankingsBuffer:
 
 
 def build_buffer(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int, demonstration_alternatives: int,
-                 correction_alternatives: int, config: AlternativesConfig, rng: np.random.Generator) -> RankingsBuffer:
+                 correction_alternatives: int, config: AlternativesConfig, rng: np.random.Generator,
+                 features: Sequence[str] = ()) -> RankingsBuffer:
     """Fill Algorithm 1's buffer from everything that was taught.
 
     Each motion is sampled at evenly spaced times, each corrected span at evenly spaced lengths of its path, into the
@@ -97,6 +98,7 @@ def build_buffer(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int,
         correction_alternatives: Alternatives of each correction N_c.
         config: How alternatives are drawn.
         rng: Source of randomness.
+        features: Features that are given, as written in the settings.
 
     Returns:
         The buffer.
@@ -105,16 +107,17 @@ def build_buffer(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int,
         TrainingError: Nothing was taught that a comparison can be made from.
     """
     items = dataset.comparisons()
-    return _Filler(items, robot, waypoints, config, rng).fill(demonstration_alternatives, correction_alternatives)
+    filler = _Filler(items, robot, waypoints, config, rng, features)
+    return filler.fill(demonstration_alternatives, correction_alternatives)
 
 
 class _Filler:
     """Collects motions one after the other, so that an item's motions and alternatives share its scene."""
 
     def __init__(self, items: Sequence[FeedbackItem], robot: RobotModel, waypoints: int, config: AlternativesConfig,
-                 rng: np.random.Generator) -> None:
+                 rng: np.random.Generator, features: Sequence[str]) -> None:
         self._items, self._robot, self._waypoints, self._config, self._rng = items, robot, waypoints, config, rng
-        self._names = input_names([item.context for item in items])
+        self._names = input_names([item.context for item in items], features)
         self._shown: list[Inputs] = []
 
     def fill(self, demonstration_count: int, correction_count: int) -> RankingsBuffer:
@@ -161,8 +164,7 @@ class _Filler:
         return states
 
     def _inputs(self, states: Array, context: Context) -> Inputs:
-        matrix, offset = input_map(self._names, context)
-        return (states @ matrix + offset).astype(np.float32)
+        return scene_inputs(self._names, context).values(states).astype(np.float32)
 
     def _vary(self, states: Array, context: Context, count: int, free_share: float) -> Inputs:
         free = round(free_share * count)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.reward.buffer import AlternativesConfig
 from unifeed_ros.core.reward.ensemble import RATIONALITY, RewardEnsemble
+from unifeed_ros.core.reward.features import feature_name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,6 +20,10 @@ class TrainingConfig:
     plans differently from seed to seed; with the smaller batch that each then sees, a step costs the same."""
     hidden: Sequence[int] = (64, 64)
     """Widths of the hidden layers."""
+    features: Sequence[str] = ()
+    """Features that are given, such as "distance(goal)", "height(0.0)" or "near_xy(person, 0.4)"; none: the reward is
+    learned from scratch. Kinds: distance, distance_xy, near, near_xy, near_box, height, tilt, and those of entry points
+    in the group unifeed_ros.features."""
     rationality: float = RATIONALITY
     """How strongly returns decide a comparison, beta of the Luce choice rule [1/reward]."""
     waypoints: int = 20
@@ -44,6 +49,8 @@ class TrainingConfig:
     """Learning rate at the start; it falls to zero along a half cosine."""
     weight_penalty: float = 1e-3
     """Weight of the sum of squared weights of each member."""
+    residual_penalty: float = 0.1
+    """The same where features are given: the network, which then says what they cannot explain, must be worth it."""
     warm_steps: int = 0
     """Steps when going on from the previous model; 0: always from scratch."""
     warm_learning_rate: float = 2e-3
@@ -54,6 +61,9 @@ class TrainingConfig:
     def __post_init__(self) -> None:
         """Reject values that would only fail in the middle of a lesson."""
         object.__setattr__(self, "hidden", tuple(int(w) for w in self.hidden))
+        object.__setattr__(self, "features", tuple(map(feature_name, self.features)))
+        if len(set(self.features)) < len(self.features):
+            raise ConfigError("features", expected="each once", got=", ".join(self.features))
         least = {"members": 2, "waypoints": 4, "demonstration_comparisons": 1, "correction_comparisons": 1,
                  "preference_comparisons": 1, "pool": 1, "batch": 1, "steps": 1, "warm_steps": 0}
         for name, bound in least.items():
@@ -66,8 +76,9 @@ class TrainingConfig:
                 raise ConfigError(name, expected="above 0 and below 1", got=getattr(self, name))
         if not 0.0 < self.rationality < float("inf"):
             raise ConfigError("rationality", expected="above 0", got=self.rationality)
-        if not self.weight_penalty >= 0.0:
-            raise ConfigError("weight_penalty", expected="not negative", got=self.weight_penalty)
+        for name in ("weight_penalty", "residual_penalty"):
+            if not getattr(self, name) >= 0.0:
+                raise ConfigError(name, expected="not negative", got=getattr(self, name))
 
 
 @dataclass(frozen=True, kw_only=True)

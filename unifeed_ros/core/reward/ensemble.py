@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from unifeed_ros.core.errors import ConfigError, InputError, ShapeError
-from unifeed_ros.core.reward.features import input_map
+from unifeed_ros.core.reward.features import evaluate
+from unifeed_ros.core.reward.inputs import feature_count, scene_inputs
 from unifeed_ros.core.robot import TOOL_STATE
 from unifeed_ros.core.types import Array, Context
 
@@ -30,8 +31,10 @@ saturated reward is flat: on the way to the goal the planner no longer sees wher
 class RewardEnsemble:
     """Networks that were trained on the same feedback (paper sec. "Putting It All Together").
 
-    Leaky ReLU hidden layers and a tanh output, so that a state's reward lies between -1 and 1. A constant added to
-    all rewards leaves every comparison as it is: never compare absolute values between two ensembles.
+    Leaky ReLU hidden layers and a tanh output, so that a state's reward lies between -1 and 1. Features that are given
+    keep their linear structure: r(s) = theta . phi(s) + tanh(network(s, phi(s))). The network sees them too, and then
+    says what they cannot explain; bounded as it is, it never outweighs them far from what was taught. A constant added
+    to all rewards leaves every comparison as it is: never compare absolute values between two ensembles.
     """
 
     version: int
@@ -41,13 +44,15 @@ class RewardEnsemble:
     frame: str
     """Frame that positions refer to."""
     inputs: tuple[str, ...]
-    """Names of the networks' inputs, in order."""
+    """Names of the networks' inputs, in order, F features last."""
     layer_sizes: tuple[int, ...]
     """Widths from the input to the output, for example (9, 64, 64, 1)."""
     weights: tuple[Weights, ...] = field(repr=False)
     """Matrices of each layer, shape (m, in, out)."""
     biases: tuple[Weights, ...] = field(repr=False)
     """Biases of each layer, shape (m, out)."""
+    thetas: Weights = field(default_factory=lambda: np.zeros((0, 0), dtype=np.float32), repr=False)
+    """Weights of the features, shape (m, F); may be left out without features."""
     feedback_ids: tuple[str, ...] = ()
     """Names of the feedback items that it was learned from."""
     seed: int = 0
@@ -71,7 +76,9 @@ class RewardEnsemble:
         layers = list(itertools.pairwise(sizes))
         weights = [_frozen(w, (members, i, o)) for w, (i, o) in zip(self.weights, layers, strict=True)]
         biases = [_frozen(b, (members, o)) for b, (_, o) in zip(self.biases, layers, strict=True)]
-        for name, value in {"layer_sizes": sizes, "weights": tuple(weights), "biases": tuple(biases),
+        thetas = self.thetas if len(self.thetas) else np.zeros((members, 0))
+        thetas = _frozen(thetas, (members, feature_count(self.inputs)))
+        for name, value in {"layer_sizes": sizes, "thetas": thetas, "weights": tuple(weights), "biases": tuple(biases),
                             "inputs": tuple(self.inputs), "feedback_ids": tuple(self.feedback_ids)}.items():
             object.__setattr__(self, name, value)
 
@@ -123,14 +130,17 @@ class RewardEnsemble:
         return np.asarray(centred.std(axis=0))
 
     def flat_weights(self) -> Weights:
-        """Write all weights in one row: for each layer, for each member, the matrix row by row, then its biases.
+        """Write all weights in one row.
+
+        For each layer, for each member, the matrix row by row, then its biases; at the end each member's weights of the
+        features.
 
         Returns:
             Weights, shape (W,).
         """
-        return np.concatenate([
-            part for weight, bias in zip(self.weights, self.biases, strict=True)
-            for k in range(self.members) for part in (weight[k].ravel(), bias[k])])
+        layers = (part for weight, bias in zip(self.weights, self.biases, strict=True)
+                  for k in range(self.members) for part in (weight[k].ravel(), bias[k]))
+        return np.concatenate([*layers, self.thetas.ravel()])
 
     @classmethod
     def from_flat(cls, flat: ArrayLike, *, members: int, layer_sizes: Sequence[int], inputs: Sequence[str],
@@ -161,8 +171,8 @@ class RewardEnsemble:
         if activation != ACTIVATION:
             raise ConfigError("activation of the reward model", expected=ACTIVATION, got=activation)
         row = np.asarray(flat, dtype=np.float32)
-        layers = list(itertools.pairwise(layer_sizes))
-        wanted = members * sum((i + 1) * o for i, o in layers)
+        layers, features = list(itertools.pairwise(layer_sizes)), feature_count(inputs)
+        wanted = members * (sum((i + 1) * o for i, o in layers) + features)
         if row.shape != (wanted,):
             raise ShapeError("weights of the reward model", expected=f"({wanted},)", got=row.shape)
         weights, biases, at = [], [], 0
@@ -172,20 +182,23 @@ class RewardEnsemble:
             biases.append(block[:, i * o:])
             at += block.size
         return cls(version=version, robot=robot, frame=frame, inputs=tuple(inputs), layer_sizes=tuple(layer_sizes),
-                   weights=tuple(weights), biases=tuple(biases), feedback_ids=tuple(feedback_ids), seed=seed)
+                   weights=tuple(weights), biases=tuple(biases), thetas=row[at:].reshape(members, features),
+                   feedback_ids=tuple(feedback_ids), seed=seed)
 
 
 class ContextReward:
     """A reward over tool states alone: the ensemble's mean in one scene (paper eq. M10's sum, divided by m)."""
 
     def __init__(self, ensemble: RewardEnsemble, context: Context) -> None:
-        """Fold the scene into the first layer, since the inputs are linear in the tool state."""
-        matrix, offset = input_map(ensemble.inputs, context)
+        """Fold the scene into the first layer, since all inputs but features are linear in the tool state."""
+        inputs = scene_inputs(ensemble.inputs, context)
         weights = [w.astype(np.float64) for w in ensemble.weights]
         biases = [b.astype(np.float64)[:, None, :] for b in ensemble.biases]
-        biases[0] = biases[0] + offset @ weights[0][:, None]
-        weights[0] = matrix @ weights[0]
-        self._weights, self._biases = weights, biases
+        linear, features = np.split(weights[0], [len(inputs.offset)], axis=1)
+        biases[0] = biases[0] + inputs.offset @ linear[:, None]
+        weights[0] = np.concatenate([inputs.matrix @ linear, features], axis=1)
+        self._weights, self._biases, self._features = weights, biases, inputs.features
+        self._thetas = ensemble.thetas.astype(np.float64)
 
     def member_rewards(self, tool_states: ArrayLike) -> Array:
         """Compute every member's reward of each state.
@@ -199,7 +212,9 @@ class ContextReward:
         Raises:
             ShapeError: Another number of columns.
         """
-        return self._forward(_require_states(tool_states))[0]
+        states = _require_states(tool_states)
+        phi, _ = evaluate(self._features, states)
+        return self._network(states, phi)[0] + self._thetas @ phi.T
 
     def value_and_gradient(self, tool_states: ArrayLike) -> tuple[Array, Array]:
         """Compute the mean reward of each state and its gradient.
@@ -213,17 +228,24 @@ class ContextReward:
         Raises:
             ShapeError: Another number of columns.
         """
-        rewards, slopes = self._forward(_require_states(tool_states))
-        backward = (1.0 - rewards**2)[..., None]  # d tanh
+        states = _require_states(tool_states)
+        phi, by_state = evaluate(self._features, states)
+        residuals, slopes = self._network(states, phi)
+        backward = (1.0 - residuals**2)[..., None]  # d tanh
         for weight, slope in zip(reversed(self._weights), (*reversed(slopes), None), strict=True):
             backward = backward @ weight.transpose(0, 2, 1)
             if slope is not None:
                 backward *= slope
-        return rewards.mean(axis=0), backward.mean(axis=0)
+        values, gradient = residuals.mean(axis=0), backward.mean(axis=0)
+        if not self._features:
+            return values, gradient
+        theta, width = self._thetas.mean(axis=0), states.shape[1]
+        by_feature = gradient[:, width:] + theta
+        return values + phi @ theta, gradient[:, :width] + (by_feature[:, None] @ by_state)[:, 0]
 
-    def _forward(self, states: Array) -> tuple[Array, list[Array]]:
-        """Run all members at once; returns their rewards (m, N) and the slopes of the activations (m, N, width)."""
-        hidden, slopes = states[None], []
+    def _network(self, states: Array, phi: Array) -> tuple[Array, list[Array]]:
+        """Run all members' networks; returns their outputs (m, N) and the slopes of the activations (m, N, width)."""
+        hidden, slopes = np.concatenate([states, phi], axis=1)[None], []
         for weight, bias in zip(self._weights[:-1], self._biases[:-1], strict=True):
             hidden = hidden @ weight + bias
             slopes.append(np.where(hidden > 0.0, 1.0, LEAK))

@@ -16,6 +16,9 @@ from unifeed_ros.core.reward.losses import LossTerms, correction_loss, demonstra
 SPREAD = 1e-4
 """Standard deviation of the rewards of the shown states under which a member counts as dead [1]."""
 
+FEATURE_RATE = 10.0
+"""How much faster than the networks' weights those of the features learn: what is known comes first."""
+
 
 class Networks:
     """All members' weights, one tensor a layer, and their joint forward pass.
@@ -23,20 +26,23 @@ class Networks:
     Attributes:
         weights: Matrices of each layer, shape (m, in, out).
         biases: Biases of each layer, shape (m, 1, out).
+        thetas: Weights of the features, which are the last F inputs, over FEATURE_RATE, shape (m, F, 1).
     """
 
-    def __init__(self, sizes: Sequence[int], members: int, rng: np.random.Generator) -> None:
+    def __init__(self, sizes: Sequence[int], members: int, rng: np.random.Generator, features: int = 0) -> None:
         """Draw the first weights.
 
         Args:
             sizes: Widths from the input to the output.
             members: Number of networks m.
             rng: Source of randomness, kept for restarts.
+            features: How many of the inputs, the last ones, are features F.
         """
         self._sizes, self._rng = tuple(sizes), rng
         layers = list(itertools.pairwise(sizes))
         self.weights = [torch.zeros(members, i, o) for i, o in layers]
         self.biases = [torch.zeros(members, 1, o) for _, o in layers]
+        self.thetas = torch.zeros(members, features, 1)
         for member in range(members):
             self.restart(member)
         for parameter in self.parameters:
@@ -45,15 +51,16 @@ class Networks:
     @property
     def parameters(self) -> list[Tensor]:
         """All tensors that are trained; their first axis is the member."""
-        return [*self.weights, *self.biases]
+        return [*self.weights, *self.biases, self.thetas]
 
     def restart(self, member: int) -> None:
-        """Draw one member's weights anew (Glorot's uniform rule, biases zero)."""
+        """Draw one member's weights anew (Glorot's uniform rule, biases and features' weights zero)."""
         with torch.no_grad():
             for weight, bias in zip(self.weights, self.biases, strict=True):
                 bound = np.sqrt(6.0 / (weight.shape[1] + weight.shape[2]))
                 weight[member] = torch.from_numpy(self._rng.uniform(-bound, bound, weight.shape[1:]).astype(np.float32))
                 bias[member] = 0.0
+            self.thetas[member] = 0.0
 
     def load(self, ensemble: RewardEnsemble, inputs: tuple[str, ...]) -> bool:
         """Take over an ensemble's weights.
@@ -72,6 +79,7 @@ class Networks:
                 mine.copy_(torch.from_numpy(theirs.copy()))
             for mine, theirs in zip(self.biases, ensemble.biases, strict=True):
                 mine.copy_(torch.from_numpy(theirs[:, None].copy()))
+            self.thetas.copy_(torch.from_numpy(ensemble.thetas[..., None] / FEATURE_RATE))
         return True
 
     def rewards(self, motions: Tensor) -> Tensor:
@@ -85,11 +93,12 @@ class Networks:
         """
         members, count, states, width = motions.shape
         hidden = motions.reshape(members, count * states, width)
+        explained = torch.bmm(hidden[..., width - self.thetas.shape[1]:], FEATURE_RATE * self.thetas)
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             hidden = torch.baddbmm(bias, hidden, weight)
             if layer < len(self.weights) - 1:
                 hidden = torch.nn.functional.leaky_relu(hidden, LEAK)
-        return torch.tanh(hidden).reshape(members, count, states)
+        return (torch.tanh(hidden) + explained).reshape(members, count, states)
 
     def dead_members(self, motions: Tensor) -> list[int]:
         """Find members that reward all states alike, or whose rewards are not numbers.

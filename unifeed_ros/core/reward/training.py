@@ -16,7 +16,7 @@ from unifeed_ros.core.reward.buffer import RankingsBuffer, build_buffer
 from unifeed_ros.core.reward.config import TrainingConfig, TrainingResult
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.losses import LossTerms
-from unifeed_ros.core.reward.networks import Comparer, Networks
+from unifeed_ros.core.reward.networks import FEATURE_RATE, Comparer, Networks
 from unifeed_ros.core.robot import RobotModel
 
 
@@ -49,7 +49,7 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
     buffer = _build(dataset, robot, config, config.pool, config.pool, rng)
     sizes = (len(buffer.inputs), *config.hidden, 1)
     with _one_thread():
-        networks = Networks(sizes, config.members, rng)
+        networks = Networks(sizes, config.members, rng, len(config.features))
         # a model that knows an input that was taken back since would keep a trace of it
         grown = previous is not None and set(previous.feedback_ids) <= {item.id for item in dataset.items}
         warm = config.warm_steps > 0 and previous is not None and grown and networks.load(previous, buffer.inputs)
@@ -62,6 +62,7 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         version=version, robot=dataset.robot, frame=robot.config.base_frame, inputs=buffer.inputs, layer_sizes=sizes,
         weights=tuple(w.detach().numpy() for w in networks.weights),
         biases=tuple(b.detach().numpy()[:, 0] for b in networks.biases),
+        thetas=(FEATURE_RATE * networks.thetas).detach().numpy()[..., 0],
         feedback_ids=tuple(item.id for item in dataset.items), seed=seed)
     return TrainingResult(
         ensemble=ensemble, seconds=time.perf_counter() - began, steps=steps, accuracy=accuracy,
@@ -78,6 +79,8 @@ def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig
     counts = (len(buffer.demonstrated), 2 * len(buffer.corrected), len(buffer.better))
     total = sum(w * c for w, c in zip(weights, counts, strict=True))
     each = max(1, config.batch // max(1, len(buffer.demonstrated) + len(buffer.corrected)))
+    # what features explain is left to them
+    shrink = config.residual_penalty if config.features else config.weight_penalty
     adam = torch.optim.Adam(networks.parameters, lr=learning_rate, fused=True)
     for step in range(steps):
         for group in adam.param_groups:
@@ -86,7 +89,7 @@ def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig
         entropy = (weights[0] * terms.demonstrations + weights[1] * terms.corrections + weights[2] * terms.preferences)
         penalty = torch.stack([w.square().sum() for w in networks.weights]).sum()
         adam.zero_grad(set_to_none=True)
-        torch.autograd.backward(entropy.sum() / total + config.weight_penalty * penalty)
+        torch.autograd.backward(entropy.sum() / total + shrink * penalty)
         adam.step()
         if step in (steps // 10, steps // 4):
             for member in networks.dead_members(comparer.shown):
@@ -118,7 +121,8 @@ def _build(dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig, 
            correction_alternatives: int, rng: np.random.Generator) -> RankingsBuffer:
     return build_buffer(
         dataset, robot, waypoints=config.waypoints, demonstration_alternatives=demonstration_alternatives,
-        correction_alternatives=correction_alternatives, config=config.alternatives, rng=rng)
+        correction_alternatives=correction_alternatives, config=config.alternatives, rng=rng,
+        features=config.features)
 
 
 def _mean(sums: Tensor, count: int) -> float:
