@@ -11,9 +11,11 @@ from unifeed_ros.cli.arguments import UserMistake
 from unifeed_ros.cli.bench_context import context_table, measure_context
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.reward.config import TrainingConfig
+from unifeed_ros.core.reward.training import train_reward
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
 from unifeed_ros.experiments.context_bench import NEW_OBJECT_PLACES, bench_context, taught_and_tested
+from unifeed_ros.experiments.reward_quality import planned_regret, teach
 from unifeed_ros.resources import config_path
 
 OPTIONS = {"robot": "panda", "task": None, "people": 1, "goals": 2, "feedback": "DC", "json": False}
@@ -34,6 +36,15 @@ def test_the_test_is_where_nothing_was_taught(panda, scene):
     assert len({tuple(p.task.scene.goal) for p in (*places, *tests)}) == 4
     assert {tuple(p.task.scene.objects["person"]) for p in places} == {tuple(scene.objects["person"])}
     assert {tuple(t.task.scene.objects["person"]) for t in tests} == set(NEW_OBJECT_PLACES)
+
+
+def test_one_demonstration_with_the_right_features_holds_at_a_new_place(panda, scene):
+    places, tests = taught_and_tested(panda, scene, PlannerConfig(), goals=1)
+    dataset = teach(places, 0, "D")
+    scratch, known = (train_reward(dataset, panda, TrainingConfig(features=f), version=1, seed=0).ensemble
+                      for f in ((), ("distance(goal)", "near_xy(person, 0.4)")))
+    assert planned_regret(known, places[0]) < 0.05
+    assert planned_regret(known, tests[0]) < min(0.2, planned_regret(scratch, tests[0]))
 
 
 def test_every_motion_is_judged(panda, scene):

@@ -140,7 +140,8 @@ def test_one_demonstration_teaches_what_a_given_feature_explains(panda, context,
     shown = Trajectory(joint_names=panda.joint_names, times=straight.times, positions=straight.positions)
     dataset = FeedbackDataset("panda", panda.joint_names)
     dataset.add(Demonstration(id="d1", robot="panda", context=context, trajectory=shown))
-    config = TrainingConfig(members=2, hidden=(16, 16), steps=250, pool=200, features=["distance(goal)"])
+    config = TrainingConfig(members=2, hidden=(16, 16), steps=250, pool=200, features=["distance(goal)"],
+                            residual_penalty=0.1)
     ensemble = train_reward(dataset, panda, config, version=1, seed=0).ensemble
     elsewhere = Context(goal=[0.4, 0.4, 0.4], objects=context.objects)
     points = states(200)

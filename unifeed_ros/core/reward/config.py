@@ -49,8 +49,9 @@ class TrainingConfig:
     """Learning rate at the start; it falls to zero along a half cosine."""
     weight_penalty: float = 1e-3
     """Weight of the sum of squared weights of each member."""
-    residual_penalty: float = 0.1
-    """The same where features are given: the network, which then says what they cannot explain, must be worth it."""
+    residual_penalty: float = 0.01
+    """The same where features are given: what they explain is left to them. Ten times more, and the network no longer
+    learns what they cannot explain."""
     warm_steps: int = 0
     """Steps when going on from the previous model; 0: always from scratch."""
     warm_learning_rate: float = 2e-3
