@@ -119,6 +119,12 @@ def test_a_reward_with_features_is_what_torch_trains(context):
     assert close.mean() > 0.98  # where they differ, a kink of a leaky ReLU lies between
 
 
+def test_inputs_of_motions_are_those_of_their_states(context):
+    inputs, points = scene_inputs(input_names([context], EVERY_KIND), context), states(40)
+    np.testing.assert_array_equal(inputs.values(points.reshape(4, 10, 6)).reshape(40, -1), inputs.values(points))
+    assert inputs.values(np.zeros((0, 10, 6))).shape == (0, 10, len(input_names([context], EVERY_KIND)))
+
+
 def test_features_weights_survive_the_row_and_the_file(context, tmp_path):
     ensemble = ensemble_with(context)
     back = load_model(save_model(tmp_path / "model.safetensors", ensemble))

@@ -82,7 +82,7 @@ class SceneInputs:
         if not self.features:
             return linear
         phi, _ = evaluate(self.features, states.reshape(-1, states.shape[-1]))
-        return np.concatenate([linear, phi.reshape(*states.shape[:-1], -1)], axis=-1)
+        return np.concatenate([linear, phi.reshape(*states.shape[:-1], len(self.features))], axis=-1)
 
 
 def scene_inputs(names: Sequence[str], context: Context) -> SceneInputs:
