@@ -6,7 +6,7 @@ import argparse
 from importlib import import_module
 from pathlib import Path
 
-BENCHMARKS = ("reward", "planner", "lesson", "reliability", "queries")
+BENCHMARKS = ("reward", "planner", "context", "lesson", "reliability", "queries")
 """Each has a module unifeed_ros.cli.bench_<name> with a function run(options), loaded only when it is asked for."""
 
 
@@ -17,6 +17,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
     added = {}
     for name, text in (("reward", "training beside the paper's procedure, with the quality of both"),
                        ("planner", "plans beside SciPy's SLSQP on the very same problems"),
+                       ("context", "taught at two goals, tested at new goals and object places"),
                        ("lesson", "whole lessons, and how far the last motion is from the best"),
                        ("reliability", "people biased in one kind of feedback: regret with weights and without"),
                        ("queries", "regret by the number of questions, chosen ones beside random ones"),
@@ -26,6 +27,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
         added[name].set_defaults(run=run_bench)
     _add_reward_options(added["reward"])
     _add_planner_options(added["planner"])
+    _add_context_options(added["context"])
     _add_lesson_options(added["lesson"])
     _add_reliability_options(added["reliability"])
     _add_query_options(added["queries"])
@@ -57,6 +59,15 @@ def _add_planner_options(parser: argparse.ArgumentParser) -> None:
                              "with the arm's meshes too")
     parser.add_argument("--peer-limit", type=float, default=60.0,
                         help="processor time after which SLSQP is ended [s] (default: 60)")
+
+
+def _add_context_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--robot", default="panda", help="the robot (default: panda)")
+    parser.add_argument("--task", action="append", help="only this task (may be repeated; default: all)")
+    parser.add_argument("--people", type=int, default=3, help="simulated people a task (default: 3)")
+    parser.add_argument("--goals", type=int, default=10, help="new goals a task (default: 10)")
+    parser.add_argument("--feedback", default="DCPDCP", metavar="LETTERS",
+                        help="what is taught, at the two goals in turn (default: DCPDCP)")
 
 
 def _add_lesson_options(parser: argparse.ArgumentParser) -> None:

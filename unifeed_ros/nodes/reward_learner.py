@@ -16,6 +16,7 @@ from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
 from unifeed_ros.core.reward.config import TrainingConfig, TrainingResult
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
+from unifeed_ros.core.reward.features import make_feature
 from unifeed_ros.core.reward.queries import QueryConfig
 from unifeed_ros.core.reward.reliability import KINDS
 from unifeed_ros.core.types import Context, Trajectory
@@ -49,6 +50,8 @@ class RewardLearnerNode(UnifeedNode):
         self._robot = self.load_robot()
         self._task_context = self.load_scene().context()
         self._training = settings(self, "training", TrainingConfig)
+        for feature in self._training.features:
+            make_feature(feature, self._task_context)  # refuses what is unknown before anything is taught
         self._questions = settings(self, "query", QueryConfig)
         self._dataset = FeedbackDataset(self._robot.config.name, self._robot.joint_names)
         self._model: RewardEnsemble | None = None

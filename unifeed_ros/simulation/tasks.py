@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike
 from unifeed_ros.core.errors import ConfigError, PlanningError, ShapeError
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.plan import plan_motion
+from unifeed_ros.core.reward.terms import Values, distance, height, shortfall, tilt, weighted
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.scene import Scene
 from unifeed_ros.core.types import Array, Trajectory
-from unifeed_ros.simulation.rewards import Values, distance, height, shortfall, tilt, weighted
 
 LAPTOP_RADIUS = 1.0
 """Distance over the table within which the laptop counts [m]."""

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
-from unifeed_ros.core.reward.features import input_names
+from unifeed_ros.core.reward.inputs import input_names
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.types import Context, Trajectory
 

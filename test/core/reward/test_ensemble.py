@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from unifeed_ros.core.errors import ConfigError, InputError, ShapeError
-from unifeed_ros.core.reward.features import input_map, input_names
+from unifeed_ros.core.reward.inputs import input_names, scene_inputs
 from unifeed_ros.core.types import Context
 
 
@@ -28,18 +28,20 @@ def restored(ensemble, **changes):
 
 def test_inputs_are_tool_goal_and_shared_objects(context):
     names = input_names([context, Context(goal=[0, 0, 0], objects={"laptop": [1, 1, 1], "vase": [0, 1, 0]})])
-    assert names == ("x", "y", "z", "axis_x", "axis_y", "axis_z", "goal_dx", "goal_dy", "goal_dz",
-                     "laptop_dx", "laptop_dy", "laptop_dz")
+    assert names == ("z", "axis_x", "axis_y", "axis_z", "goal_dx", "goal_dy", "goal_dz", "x/10", "y/10",
+                     "laptop_dx/10", "laptop_dy/10", "laptop_dz/10")
 
 
 def test_offsets_point_from_the_tool_to_the_thing(context):
-    matrix, offset = input_map(input_names([context]), context)
     state = states(0, 1)
-    inputs = (state @ matrix + offset)[0]
-    np.testing.assert_allclose(inputs[:6], state[0])
-    np.testing.assert_allclose(inputs[6:9], context.goal - state[0, :3])
-    np.testing.assert_allclose(inputs[9:12], context.objects["cup"] - state[0, :3])
-    np.testing.assert_allclose(inputs[12:15], context.objects["laptop"] - state[0, :3])
+    inputs = scene_inputs(input_names([context]), context).values(state)[0]
+    np.testing.assert_allclose(inputs[:4], state[0, 2:])
+    np.testing.assert_allclose(inputs[4:7], context.goal - state[0, :3])
+    np.testing.assert_allclose(inputs[7:9], 0.1 * state[0, :2])
+    np.testing.assert_allclose(inputs[9:12], 0.1 * (context.objects["cup"] - state[0, :3]))
+    np.testing.assert_allclose(inputs[12:15], 0.1 * (context.objects["laptop"] - state[0, :3]))
+    whole = scene_inputs(["x", "cup_dz"], context).values(state)[0]
+    np.testing.assert_allclose(whole, [state[0, 0], context.objects["cup"][2] - state[0, 2]])
 
 
 @settings(max_examples=20)
@@ -77,8 +79,8 @@ def test_gradient_is_that_of_the_value(ensemble_of, context, seed):
 
 
 def test_binding_a_scene_equals_evaluating_the_inputs(ensemble, context):
-    matrix, offset = input_map(ensemble.inputs, context)
-    hidden = np.broadcast_to(states(1) @ matrix + offset, (3, 12, len(ensemble.inputs)))
+    inputs = scene_inputs(ensemble.inputs, context).values(states(1))
+    hidden = np.broadcast_to(inputs, (3, 12, len(ensemble.inputs)))
     for layer, (weight, bias) in enumerate(zip(ensemble.weights, ensemble.biases, strict=True)):
         hidden = hidden @ weight.astype(float) + bias.astype(float)[:, None]
         hidden = np.tanh(hidden) if layer == 2 else np.maximum(hidden, 0.01 * hidden)

@@ -13,7 +13,7 @@ from unifeed_ros.core.reward.gradients import Comparisons, LossGradient
 from unifeed_ros.core.reward.losses import choice_loss
 from unifeed_ros.core.reward.networks import Networks
 
-MEMBERS, MOTIONS, STATES, SIZES = 3, 6, 4, (5, 12, 7, 1)
+MEMBERS, MOTIONS, STATES, SIZES, FEATURES = 3, 6, 4, (5, 12, 7, 1), 2
 SCALE, RATIONALITY = 2.0, 5.0
 
 
@@ -29,9 +29,10 @@ def motions(seed: int = 0) -> torch.Tensor:
 
 
 def random_networks(activation: str) -> Networks:
-    networks = Networks(SIZES, MEMBERS, np.random.default_rng(0), activation)
+    networks = Networks(SIZES, MEMBERS, np.random.default_rng(0), activation, FEATURES)
     for bias in networks.biases:
         bias.copy_(0.3 * torch.randn(bias.shape, generator=torch.Generator().manual_seed(1)))
+    networks.thetas.copy_(0.1 * torch.randn(networks.thetas.shape, generator=torch.Generator().manual_seed(3)))
     return networks
 
 
@@ -46,7 +47,7 @@ def test_the_gradient_is_that_of_the_losses(activation, comparisons):
     networks = random_networks(activation)
     LossGradient(networks, comparisons, RATIONALITY).write(motions(), SCALE)
     networks.flat.requires_grad_(True)
-    networks.weights, networks.biases = networks.layers_of(networks.flat)
+    networks.weights, networks.biases, (networks.thetas,) = networks.parts_of(networks.flat)
     loss(networks, comparisons).backward()
     np.testing.assert_allclose(networks.gradient, networks.flat.grad, rtol=1e-5, atol=1e-5)
     assert networks.gradient.abs().max() > 1e-2
@@ -61,7 +62,7 @@ def test_the_gradient_is_the_slope_of_the_loss(activation, comparisons):
     directions = torch.randn(20, len(start), dtype=torch.float64, generator=torch.Generator().manual_seed(2))
 
     def along(direction: torch.Tensor) -> float:
-        networks.weights, networks.biases = networks.layers_of(start + direction)
+        networks.weights, networks.biases, (networks.thetas,) = networks.parts_of(start + direction)
         returns = RATIONALITY * SCALE * networks.rewards(motions().double()).sum(dim=-1)
         gaps = choice_loss(returns[:, comparisons.better], returns[:, comparisons.worse])
         return float((gaps * comparisons.weights).sum())
@@ -75,10 +76,11 @@ def test_members_do_not_share_a_gradient(comparisons):
     networks = random_networks("leaky_relu")
     gradient, inputs = LossGradient(networks, comparisons, RATIONALITY), motions()
     gradient.write(inputs, SCALE)
-    before = [part.clone() for part in networks.weight_gradients]
+    parts = [*networks.weight_gradients, networks.theta_gradient]
+    before = [part.clone() for part in parts]
     inputs[0] += 1.0
     gradient.write(inputs, SCALE)
-    for old, new in zip(before, networks.weight_gradients, strict=True):
+    for old, new in zip(before, parts, strict=True):
         assert not torch.equal(old[0], new[0])
         torch.testing.assert_close(old[1:], new[1:])
 

@@ -12,7 +12,7 @@ from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.deformation import Ends, deform_tool_states, delay
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem
-from unifeed_ros.core.reward.features import input_map, input_names
+from unifeed_ros.core.reward.inputs import input_names, scene_inputs
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, Context, Trajectory
 
@@ -83,7 +83,8 @@ class RankingsBuffer:
 
 
 def build_buffer(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int, demonstration_alternatives: int,
-                 correction_alternatives: int, config: AlternativesConfig, rng: np.random.Generator) -> RankingsBuffer:
+                 correction_alternatives: int, config: AlternativesConfig, rng: np.random.Generator,
+                 features: Sequence[str] = ()) -> RankingsBuffer:
     """Fill Algorithm 1's buffer from everything that was taught.
 
     Each motion is sampled at evenly spaced times, each corrected span at evenly spaced lengths of its path, into the
@@ -97,6 +98,7 @@ def build_buffer(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int,
         correction_alternatives: Alternatives of each correction N_c.
         config: How alternatives are drawn.
         rng: Source of randomness.
+        features: Features that are given, as written in the settings.
 
     Returns:
         The buffer.
@@ -104,12 +106,13 @@ def build_buffer(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int,
     Raises:
         TrainingError: Nothing was taught that a comparison can be made from.
     """
-    return build_buffers(dataset, robot, waypoints=waypoints, config=config, rng=rng,
+    return build_buffers(dataset, robot, waypoints=waypoints, config=config, rng=rng, features=features,
                          alternatives=[(demonstration_alternatives, correction_alternatives)])[0]
 
 
 def build_buffers(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int, config: AlternativesConfig,
-                  alternatives: Sequence[tuple[int, int]], rng: np.random.Generator) -> list[RankingsBuffer]:
+                  alternatives: Sequence[tuple[int, int]], rng: np.random.Generator,
+                  features: Sequence[str] = ()) -> list[RankingsBuffer]:
     """Fill several buffers, alike but for the alternatives, which each draws anew.
 
     Args:
@@ -119,6 +122,7 @@ def build_buffers(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int
         config: How alternatives are drawn.
         alternatives: Alternatives of each demonstration N_d and of each correction N_c, for each buffer.
         rng: Source of randomness.
+        features: Features that are given, as written in the settings.
 
     Returns:
         The buffers.
@@ -126,7 +130,7 @@ def build_buffers(dataset: FeedbackDataset, robot: RobotModel, *, waypoints: int
     Raises:
         TrainingError: Nothing was taught that a comparison can be made from.
     """
-    filler = _Filler(dataset.comparisons(), robot, waypoints, config, rng)
+    filler = _Filler(dataset.comparisons(), robot, waypoints, config, rng, features)
     return [filler.fill(*counts) for counts in alternatives]
 
 
@@ -134,9 +138,9 @@ class _Filler:
     """Collects motions one after the other, so that an item's motions and alternatives share its scene."""
 
     def __init__(self, items: Sequence[FeedbackItem], robot: RobotModel, waypoints: int, config: AlternativesConfig,
-                 rng: np.random.Generator) -> None:
+                 rng: np.random.Generator, features: Sequence[str]) -> None:
         self._items, self._robot, self._waypoints, self._config, self._rng = items, robot, waypoints, config, rng
-        self._names = input_names([item.context for item in items])
+        self._names = input_names([item.context for item in items], features)
         self._shown: list[Inputs] = []
         self._sampled: dict[tuple[int, str], Array] = {}
 
@@ -193,8 +197,7 @@ class _Filler:
         return states
 
     def _inputs(self, states: Array, context: Context) -> Inputs:
-        matrix, offset = (part.astype(np.float32) for part in input_map(self._names, context))
-        return states.astype(np.float32) @ matrix + offset
+        return scene_inputs(self._names, context).values(states).astype(np.float32)
 
     def _vary(self, states: Array, context: Context, count: int, free_share: float) -> list[Inputs]:
         free = round(free_share * count)

@@ -9,6 +9,7 @@ from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.reward.activations import require_activation
 from unifeed_ros.core.reward.buffer import AlternativesConfig
 from unifeed_ros.core.reward.ensemble import RATIONALITY, RewardEnsemble
+from unifeed_ros.core.reward.features import feature_name
 from unifeed_ros.core.reward.reliability import ESTIMATE, check_reliability
 
 
@@ -24,6 +25,10 @@ class TrainingConfig:
     activation: str = "leaky_relu"
     """Activation of the hidden layers: leaky_relu, leaky_softplus (without its kink) or tanh, whose
     members saturate and die at the learning rate of the others: give it 3e-3."""
+    features: Sequence[str] = ()
+    """Features that are given, such as "distance(goal)", "height(0.0)" or "near_xy(person, 0.4)"; none: the reward is
+    learned from scratch. Kinds: distance, distance_xy, near, near_xy, near_box, height, tilt, and those of entry points
+    in the group unifeed_ros.features."""
     rationality: float = RATIONALITY
     """How strongly returns decide a comparison, beta of the Luce choice rule [1/reward]."""
     waypoints: int = 20
@@ -54,6 +59,9 @@ class TrainingConfig:
     """Learning rate at the start; it falls to zero along a half cosine."""
     weight_penalty: float = 1e-3
     """Weight of the sum of squared weights of each member."""
+    residual_penalty: float = 0.01
+    """The same where features are given: what they explain is left to them. Ten times more, and the network no longer
+    learns what they cannot explain."""
     warm_steps: int = 80
     """Steps when going on from the previous model; 0: always from scratch. It is gone on from as it is: mixed with new
     weights (shrunk and perturbed), it planned worse after as many steps."""
@@ -66,6 +74,9 @@ class TrainingConfig:
         """Reject values that would only fail in the middle of a lesson."""
         object.__setattr__(self, "hidden", tuple(int(w) for w in self.hidden))
         object.__setattr__(self, "reliability", check_reliability(self.reliability))
+        object.__setattr__(self, "features", tuple(map(feature_name, self.features)))
+        if len(set(self.features)) < len(self.features):
+            raise ConfigError("features", expected="each once", got=", ".join(self.features))
         least = {"members": 2, "waypoints": 4, "demonstration_comparisons": 1, "correction_comparisons": 1,
                  "preference_comparisons": 1, "pool": 1, "compared_waypoints": 1,
                  "batch": 1, "steps": 1, "warm_steps": 0}
@@ -80,8 +91,9 @@ class TrainingConfig:
                 raise ConfigError(name, expected="above 0 and below 1", got=getattr(self, name))
         if not 0.0 < self.rationality < float("inf"):
             raise ConfigError("rationality", expected="above 0", got=self.rationality)
-        if not self.weight_penalty >= 0.0:
-            raise ConfigError("weight_penalty", expected="not negative", got=self.weight_penalty)
+        for name in ("weight_penalty", "residual_penalty"):
+            if not getattr(self, name) >= 0.0:
+                raise ConfigError(name, expected="not negative", got=getattr(self, name))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from unifeed_ros.core.errors import ConfigError, InputError, ShapeError
 from unifeed_ros.core.reward.activations import ACTIVATIONS, require_activation
-from unifeed_ros.core.reward.features import input_map
+from unifeed_ros.core.reward.features import evaluate
+from unifeed_ros.core.reward.inputs import feature_count, scene_inputs
 from unifeed_ros.core.robot import TOOL_STATE
 from unifeed_ros.core.types import Array, Context
 
@@ -29,8 +30,10 @@ saturated reward is flat: on the way to the goal the planner no longer sees wher
 class RewardEnsemble:
     """Networks that were trained on the same feedback (paper sec. "Putting It All Together").
 
-    The output is a tanh, so that a state's reward lies between -1 and 1. A constant added to
-    all rewards leaves every comparison as it is: never compare absolute values between two ensembles.
+    The output is a tanh, so that a state's reward lies between -1 and 1. Features that are given keep their linear
+    structure: r(s) = theta . phi(s) + tanh(network(s, phi(s))). The network sees them too, and then says what they
+    cannot explain; bounded as it is, it never outweighs them far from what was taught. A constant added to all rewards
+    leaves every comparison as it is: never compare absolute values between two ensembles.
     """
 
     version: int
@@ -40,13 +43,15 @@ class RewardEnsemble:
     frame: str
     """Frame that positions refer to."""
     inputs: tuple[str, ...]
-    """Names of the networks' inputs, in order."""
+    """Names of the networks' inputs, in order, F features last."""
     layer_sizes: tuple[int, ...]
     """Widths from the input to the output, for example (9, 64, 64, 1)."""
     weights: tuple[Weights, ...] = field(repr=False)
     """Matrices of each layer, shape (m, in, out)."""
     biases: tuple[Weights, ...] = field(repr=False)
     """Biases of each layer, shape (m, out)."""
+    thetas: Weights = field(default_factory=lambda: np.zeros((0, 0), dtype=np.float32), repr=False)
+    """Weights of the features, shape (m, F); may be left out without features."""
     feedback_ids: tuple[str, ...] = ()
     """Names of the feedback items that it was learned from."""
     seed: int = 0
@@ -73,7 +78,9 @@ class RewardEnsemble:
         layers = list(itertools.pairwise(sizes))
         weights = [_frozen(w, (members, i, o)) for w, (i, o) in zip(self.weights, layers, strict=True)]
         biases = [_frozen(b, (members, o)) for b, (_, o) in zip(self.biases, layers, strict=True)]
-        for name, value in {"layer_sizes": sizes, "weights": tuple(weights), "biases": tuple(biases),
+        thetas = self.thetas if len(self.thetas) else np.zeros((members, 0))
+        thetas = _frozen(thetas, (members, feature_count(self.inputs)))
+        for name, value in {"layer_sizes": sizes, "thetas": thetas, "weights": tuple(weights), "biases": tuple(biases),
                             "inputs": tuple(self.inputs), "feedback_ids": tuple(self.feedback_ids)}.items():
             object.__setattr__(self, name, value)
 
@@ -128,14 +135,17 @@ class RewardEnsemble:
         return np.asarray(centred.std(axis=0))
 
     def flat_weights(self) -> Weights:
-        """Write all weights in one row: for each layer, for each member, the matrix row by row, then its biases.
+        """Write all weights in one row.
+
+        For each layer, for each member, the matrix row by row, then its biases; at the end each member's weights of the
+        features.
 
         Returns:
             Weights, shape (W,).
         """
-        return np.concatenate([
-            part for weight, bias in zip(self.weights, self.biases, strict=True)
-            for k in range(self.members) for part in (weight[k].ravel(), bias[k])])
+        layers = (part for weight, bias in zip(self.weights, self.biases, strict=True)
+                  for k in range(self.members) for part in (weight[k].ravel(), bias[k]))
+        return np.concatenate([*layers, self.thetas.ravel()])
 
     @classmethod
     def from_flat(cls, flat: ArrayLike, *, members: int, layer_sizes: Sequence[int], inputs: Sequence[str],
@@ -165,8 +175,8 @@ class RewardEnsemble:
         """
         require_activation(activation)
         row = np.asarray(flat, dtype=np.float32)
-        layers = list(itertools.pairwise(layer_sizes))
-        wanted = members * sum((i + 1) * o for i, o in layers)
+        layers, features = list(itertools.pairwise(layer_sizes)), feature_count(inputs)
+        wanted = members * (sum((i + 1) * o for i, o in layers) + features)
         if row.shape != (wanted,):
             raise ShapeError("weights of the reward model", expected=f"({wanted},)", got=row.shape)
         weights, biases, at = [], [], 0
@@ -176,8 +186,8 @@ class RewardEnsemble:
             biases.append(block[:, i * o:])
             at += block.size
         return cls(version=version, robot=robot, frame=frame, inputs=tuple(inputs), layer_sizes=tuple(layer_sizes),
-                   weights=tuple(weights), biases=tuple(biases), feedback_ids=tuple(feedback_ids), seed=seed,
-                   activation=activation)
+                   weights=tuple(weights), biases=tuple(biases), thetas=row[at:].reshape(members, features),
+                   feedback_ids=tuple(feedback_ids), seed=seed, activation=activation)
 
 
 class ContextReward:
@@ -188,13 +198,15 @@ class ContextReward:
 
     def __init__(self, ensemble: RewardEnsemble, context: Context, kappa: float = 0.0,
                  among: ArrayLike | None = None) -> None:
-        """Fold the scene into the first layer, since the inputs are linear in the tool state."""
-        matrix, offset = input_map(ensemble.inputs, context)
+        """Fold the scene into the first layer, since all inputs but features are linear in the tool state."""
+        inputs = scene_inputs(ensemble.inputs, context)
         weights = [w.astype(np.float64) for w in ensemble.weights]
         biases = [b.astype(np.float64)[:, None, :] for b in ensemble.biases]
-        biases[0] = biases[0] + offset @ weights[0][:, None]
-        weights[0] = matrix @ weights[0]
+        linear, features = np.split(weights[0], [len(inputs.offset)], axis=1)
+        biases[0] = biases[0] + inputs.offset @ linear[:, None]
+        weights[0] = np.concatenate([inputs.matrix @ linear, features], axis=1)
         self._weights, self._biases, self._activate = weights, biases, ACTIVATIONS[ensemble.activation]
+        self._features, self._thetas = inputs.features, ensemble.thetas.astype(np.float64)
         self._kappa = kappa
         self._constants: Array = np.zeros((len(weights[0]), 1))
         if kappa and among is not None:
@@ -212,7 +224,9 @@ class ContextReward:
         Raises:
             ShapeError: Another number of columns.
         """
-        return self._forward(_require_states(tool_states))[0]
+        states = _require_states(tool_states)
+        phi, _ = evaluate(self._features, states)
+        return self._network(states, phi)[0] + self._thetas @ phi.T
 
     def value_and_gradient(self, tool_states: ArrayLike) -> tuple[Array, Array]:
         """Compute the reward of each state, mean less kappa times disagreement, and its gradient.
@@ -226,28 +240,42 @@ class ContextReward:
         Raises:
             ShapeError: Another number of columns.
         """
-        rewards, slopes = self._forward(_require_states(tool_states))
-        backward = (1.0 - rewards**2)[..., None]  # d tanh
+        states = _require_states(tool_states)
+        phi, by_state = evaluate(self._features, states)
+        residuals, slopes = self._network(states, phi)
+        backward = (1.0 - residuals**2)[..., None]  # d tanh
         for weight, slope in zip(reversed(self._weights), (*reversed(slopes), None), strict=True):
             backward = backward @ weight.transpose(0, 2, 1)
             if slope is not None:
                 backward *= slope
-        mean, gradient = rewards.mean(axis=0), backward.mean(axis=0)
         if not self._kappa:
-            return mean, gradient
+            values, slopes_of_mean = residuals.mean(axis=0), backward.mean(axis=0)
+            if not self._features:
+                return values, slopes_of_mean
+            theta = self._thetas.mean(axis=0)
+            return values + phi @ theta, _by_state(slopes_of_mean, theta, by_state)
+        rewards = residuals + self._thetas @ phi.T
+        gradients = _by_state(backward, self._thetas[:, None], by_state)
         centred = rewards - self._constants
         apart = centred - centred.mean(axis=0)
         spread = np.sqrt((apart**2).mean(axis=0) + _SMALLEST_VARIANCE)
-        by_state = (apart[..., None] * backward).mean(axis=0) / spread[:, None]
-        return mean - self._kappa * spread, gradient - self._kappa * by_state
+        of_spread = (apart[..., None] * gradients).mean(axis=0) / spread[:, None]
+        return rewards.mean(axis=0) - self._kappa * spread, gradients.mean(axis=0) - self._kappa * of_spread
 
-    def _forward(self, states: Array) -> tuple[Array, list[Array]]:
-        """Run all members at once; returns their rewards (m, N) and the slopes of the activations (m, N, width)."""
-        hidden, slopes = states[None], []
+    def _network(self, states: Array, phi: Array) -> tuple[Array, list[Array]]:
+        """Run all members' networks; returns their outputs (m, N) and the slopes of the activations (m, N, width)."""
+        hidden, slopes = np.concatenate([states, phi], axis=1)[None], []
         for weight, bias in zip(self._weights[:-1], self._biases[:-1], strict=True):
             hidden, slope = self._activate(hidden @ weight + bias)
             slopes.append(slope)
         return np.tanh(hidden @ self._weights[-1] + self._biases[-1])[..., 0], slopes
+
+
+def _by_state(gradients: Array, thetas: Array, by_state: Array) -> Array:
+    """Chain gradients by (state, features), shape (..., N, 6 + F), through the features' own, shape (N, F, 6)."""
+    width = gradients.shape[-1] - thetas.shape[-1]
+    by_feature = gradients[..., width:] + thetas
+    return np.asarray(gradients[..., :width] + (by_feature[..., None, :] @ by_state)[..., 0, :])
 
 
 def _require_states(tool_states: ArrayLike) -> Array:

@@ -62,10 +62,13 @@ class LossGradient:
             scale: What a sum of S rewards is multiplied by to estimate the return of a whole motion.
         """
         networks = self._networks
-        rewards, into, before = networks.forward(motions.flatten(1, 2))
+        outputs, into, before = networks.forward(motions.flatten(1, 2))
         gaps, slopes = self._matrices_of(motions.shape[2], scale)
+        features = networks.features_of(into[0])
+        rewards = outputs + (features * networks.thetas).sum(dim=-1) if features.shape[-1] else outputs
         by_state = torch.sigmoid(rewards @ gaps) @ slopes
-        last = torch.ops.aten.tanh_backward(by_state, rewards)[:, None]
+        torch.bmm(by_state[:, None], features, out=networks.theta_gradient)
+        last = torch.ops.aten.tanh_backward(by_state, outputs)[:, None]
         torch.bmm(last, into[-1], out=networks.weight_gradients[-1].transpose(1, 2))
         torch.sum(last, dim=2, keepdim=True, out=networks.bias_gradients[-1])
         backward = last.transpose(1, 2) * networks.weights[-1].transpose(1, 2)

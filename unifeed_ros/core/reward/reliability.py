@@ -19,6 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from unifeed_ros.core.errors import ConfigError, TrainingError
 from unifeed_ros.core.reward.buffer import Indices, Inputs, RankingsBuffer
+from unifeed_ros.core.reward.inputs import WEAK, input_scale
 from unifeed_ros.core.types import Array
 
 ESTIMATE: Literal["estimate"] = "estimate"
@@ -144,7 +145,8 @@ def _features(names: Sequence[str], motions: Inputs) -> Array:
     rng = np.random.default_rng(0)
     columns: list[Array] = []
     for group in dict.fromkeys(map(_group, names)):
-        inputs = motions[..., [i for i, name in enumerate(names) if _group(name) == group]].astype(np.float64)
+        members = [i for i, name in enumerate(names) if _group(name) == group]
+        inputs = motions[..., members] / np.array([input_scale(names[i]) for i in members])
         waves = rng.normal(scale=1.0 / REACH, size=(inputs.shape[-1], WAVES))
         columns.append(np.cos(inputs @ waves + rng.uniform(0.0, 2.0 * np.pi, WAVES)).mean(axis=-2))
     return np.concatenate(columns, axis=-1)
@@ -152,6 +154,7 @@ def _features(names: Sequence[str], motions: Inputs) -> Array:
 
 def _group(name: str) -> str:
     """Name the thing that an input is about: the position, the axis, the goal, an object, or a feature."""
+    name = name.removesuffix(WEAK)
     if name in ("x", "y", "z"):
         return "position"
     return "axis" if name.startswith("axis_") else name.rpartition("_d")[0] or name

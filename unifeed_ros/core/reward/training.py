@@ -21,7 +21,7 @@ from unifeed_ros.core.reward.config import TrainingConfig, TrainingResult
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.gradients import LossGradient
 from unifeed_ros.core.reward.losses import LossTerms, correction_loss, demonstration_loss, preference_loss
-from unifeed_ros.core.reward.networks import Networks
+from unifeed_ros.core.reward.networks import FEATURE_RATE, Networks
 from unifeed_ros.core.reward.reliability import reliability_of
 from unifeed_ros.core.robot import RobotModel
 
@@ -60,11 +60,11 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
     rng = np.random.default_rng(seed)
     buffer, fresh = build_buffers(dataset, robot, waypoints=config.waypoints,
                                   alternatives=[(config.pool, config.pool), (FRESH, FRESH)],
-                                  config=config.alternatives, rng=rng)
+                                  config=config.alternatives, rng=rng, features=config.features)
     reliability = reliability_of(buffer, config.reliability)
     sizes = (len(buffer.inputs), *config.hidden, 1)
     with _one_thread():
-        networks = Networks(sizes, config.members, rng, config.activation)
+        networks = Networks(sizes, config.members, rng, config.activation, len(config.features))
         warm = (config.warm_steps > 0 and previous is not None and _continues(previous, dataset)
                 and _take_over(networks, previous, buffer))
         steps = config.warm_steps if warm else config.steps
@@ -75,6 +75,7 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         version=version, robot=dataset.robot, frame=robot.config.base_frame, inputs=buffer.inputs, layer_sizes=sizes,
         weights=tuple(w.numpy() for w in networks.weights),
         biases=tuple(b.numpy()[:, 0] for b in networks.biases),
+        thetas=(FEATURE_RATE * networks.thetas).numpy()[:, 0],
         feedback_ids=tuple(item.id for item in dataset.items), seed=seed,
         activation=config.activation)
     return TrainingResult(
@@ -103,7 +104,8 @@ def _take_over(networks: Networks, previous: RewardEnsemble, buffer: RankingsBuf
     if not networks.load(previous, buffer.inputs):
         return False
     good = buffer.shown[np.concatenate([buffer.demonstrated, buffer.corrected, buffer.better])]
-    rewards = networks.rewards(torch.from_numpy(good).expand(previous.members, *good.shape))
+    rewards = networks.forward(torch.from_numpy(good).expand(previous.members, *good.shape).flatten(1, 2))[0]
+    rewards = rewards.unflatten(1, good.shape[:2])
     if (1.0 - rewards.square()).mean(dim=-1).gt(LEAST_SLOPE).all():
         return True
     for member in range(previous.members):
@@ -118,16 +120,19 @@ def _optimise(networks: Networks, buffer: RankingsBuffer, config: TrainingConfig
     batches, adam = Batches(buffer, config, reliability), Adam(networks.flat, networks.gradient)
     gradient = LossGradient(networks, batches.comparisons, config.rationality)
     weights, slopes = networks.flat[:networks.matrix_entries], networks.gradient[:networks.matrix_entries]
+    # what features explain is left to them
+    penalty = config.residual_penalty if config.features else config.weight_penalty
     shown = torch.from_numpy(buffer.shown).expand(config.members, *buffer.shown.shape)
     for step, (motions, scale) in enumerate(batches.draw(steps, rng)):
         gradient.write(motions, scale)
-        slopes.add_(weights, alpha=2.0 * config.weight_penalty)
+        slopes.add_(weights, alpha=2.0 * penalty)
         adam.step(learning_rate * 0.5 * (1.0 + np.cos(np.pi * step / steps)))
         if step in (steps // 10, steps // 4, steps // 2):
             for member in networks.dead_members(shown):
                 networks.restart(member)
-                for part in itertools.chain(*networks.layers_of(adam.mean), *networks.layers_of(adam.square)):
-                    part[member] = 0.0
+                for moments in (adam.mean, adam.square):
+                    for part in itertools.chain(*networks.parts_of(moments)):
+                        part[member] = 0.0
         if on_progress is not None and (step + 1) % max(1, steps // 20) == 0:
             on_progress((step + 1) / steps)
     if dead := networks.dead_members(shown):

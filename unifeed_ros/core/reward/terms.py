@@ -1,4 +1,4 @@
-"""Terms that true rewards are made of: values and exact gradients over tool states."""
+"""Terms that rewards are made of, known or learned: values and exact gradients over tool states."""
 
 from __future__ import annotations
 
@@ -28,6 +28,28 @@ def distance(states: Array, point: ArrayLike, dimensions: int = 3) -> Values:
     length = np.linalg.norm(offset, axis=1)
     gradient = np.zeros_like(states)
     gradient[:, :dimensions] = offset / np.where(length > 0.0, length, 1.0)[:, None]
+    return length, gradient
+
+
+def box_distance(states: Array, centre: ArrayLike, half_sizes: ArrayLike) -> Values:
+    """Compute how far the tool is from a box whose sides are parallel to the base frame's axes.
+
+    ||x - clip(x)||, zero inside.
+
+    Args:
+        states: Tool states, shape (N, 6) [m, 1].
+        centre: Centre of the box in the base frame, shape (3,) [m].
+        half_sizes: Half of each side's length, shape (3,) [m].
+
+    Returns:
+        Distances [m] and gradients [1].
+    """
+    middle, half = np.asarray(centre, dtype=np.float64), np.asarray(half_sizes, dtype=np.float64)
+    position = states[:, :3]
+    offset = position - np.clip(position, middle - half, middle + half)
+    length = np.linalg.norm(offset, axis=1)
+    gradient = np.zeros_like(states)
+    gradient[:, :3] = offset / np.where(length > 0.0, length, 1.0)[:, None]
     return length, gradient
 
 
