@@ -15,11 +15,11 @@ from unifeed_ros.core.feedback.items import Demonstration, Preference
 from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.queries import most_informative, vary_trajectory
+from unifeed_ros.core.reward.terms import distance, height
 from unifeed_ros.core.reward.training import train_reward
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, Context, Trajectory
 from unifeed_ros.experiments.reward_quality import WORKSPACE
-from unifeed_ros.simulation.rewards import distance, height
 
 START = (0.45, 0.0, 0.45)
 """Where every motion starts [m]."""

@@ -20,6 +20,11 @@ FEATURE_RATE = 10.0
 """How much faster than the networks' weights those of the features learn: what is known comes first."""
 
 
+FIRST_BIAS = 0.1
+"""Largest bias that the first layer begins with [m]: without any, all its kinks meet where the inputs are zero, at the
+goal, and what matters elsewhere is learned late."""
+
+
 class Networks:
     """All members' weights, one tensor a layer, and their joint forward pass.
 
@@ -74,11 +79,13 @@ class Networks:
         return parts[:layers], parts[layers:2 * layers], parts[2 * layers:]
 
     def restart(self, member: int) -> None:
-        """Draw one member's weights anew (Glorot's uniform rule, biases and features' weights zero)."""
+        """Draw one member's weights anew: Glorot's uniform rule; biases zero but in the first layer; thetas zero."""
         for weight, bias in zip(self.weights, self.biases, strict=True):
             bound = np.sqrt(6.0 / (weight.shape[1] + weight.shape[2]))
             weight[member] = torch.from_numpy(self._rng.uniform(-bound, bound, weight.shape[1:]).astype(np.float32))
             bias[member] = 0.0
+        first = self.biases[0][member]
+        first.copy_(torch.from_numpy(self._rng.uniform(-FIRST_BIAS, FIRST_BIAS, first.shape)))
         self.thetas[member] = 0.0
 
     def load(self, ensemble: RewardEnsemble, inputs: tuple[str, ...]) -> bool:
