@@ -55,7 +55,8 @@ def test_a_lesson_ends_with_its_report(ros_environment, domain_id, tmp_path):
     status, again, error = run(ros_environment, "learn", out / report["recording"]["bag"], "--out", tmp_path / "again",
                                "--json")
     models = json.loads(again)["models"]
-    assert status == 0 and [m["identical"] for m in models] == [True] * 3, error
+    assert status == 0 and [m["identical"] for m in models] == [True] * len(models), error
+    assert len(models) >= 3
     assert nodes_left_behind(domain_id) == []
 
 
@@ -68,7 +69,7 @@ def check_bag(bag, report):
         feedback = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages(
             [c for c in reader.connections if c.topic == "/feedback"])]
     assert {f.kind for f in feedback} == {1, 2, 3}
-    assert counts["/reward_model"] == counts["/interaction"] == 3
+    assert counts["/reward_model"] >= counts["/interaction"] == 3  # an input that a fault cut short is learned twice
     assert counts["/joint_states"] > 5000 and counts["/hand_wrench"] > 500
 
 
