@@ -61,6 +61,11 @@ def test_kinds_that_agree_are_trusted_and_the_one_that_contradicts_is_not(panda,
     assert min(demonstrations, corrections) > 0.8
 
 
+def test_a_few_noisy_answers_doubt_nobody(panda, items):
+    few = dataclasses.replace(items[2], options=items[2].options[:3], ranks=(2, 1, 0))
+    assert estimate_reliability(buffer_of(panda, (*items[:2], few))) == (1.0, 1.0, 1.0)
+
+
 def test_order_changes_nothing(panda, items):
     buffer = buffer_of(panda, (*items, dataclasses.replace(items[0], id="d2", trajectory=items[2].options[1])))
     rng = np.random.default_rng(1)

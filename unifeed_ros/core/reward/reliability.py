@@ -34,6 +34,9 @@ DECISIVENESS = 20.0
 """Root-mean-square of how strongly rewards decide the comparisons, before any was answered [nat]."""
 REACH = 0.5
 """Distance over which a reward changes on its own [m, rad]."""
+LEAST_PAIRS = 6
+"""Ranked pairs from which on weights are estimated: on one or two noisy answers of a sound person, the same person's
+demonstrations were doubted down to 0.13."""
 ALTERNATIVES, MOST = 24, 96
 """About how many alternatives of each demonstration and each correction are weighed, and how many of each kind at most:
 time grows with the cube of their number."""
@@ -100,10 +103,10 @@ def estimate_reliability(buffer: RankingsBuffer) -> tuple[float, float, float]:
 
     Returns:
         Weights of demonstrations, corrections and preferences, 0 to 1, the largest 1. All 1 where fewer than three
-        kinds were used: of two that contradict each other, nothing says which is right.
+        kinds were used, since of two that contradict each other nothing says which is right; or fewer than LEAST_PAIRS.
     """
     differences = _differences(buffer)
-    if not all(len(rows) for rows in differences):
+    if not all(len(rows) for rows in differences) or len(buffer.better) < LEAST_PAIRS:
         return 1.0, 1.0, 1.0
     rows = np.concatenate(differences)
     kinds = np.repeat(np.arange(len(KINDS)), [len(d) for d in differences])
