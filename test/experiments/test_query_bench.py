@@ -10,14 +10,7 @@ import pytest
 from unifeed_ros.cli.arguments import UserMistake
 from unifeed_ros.cli.bench_queries import measure_queries, query_table
 from unifeed_ros.core.reward.config import TrainingConfig
-from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.experiments.query_bench import START, QueryBench, bench_queries, compare_curves, draw_motions
-from unifeed_ros.resources import config_path
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return RobotModel(load_robot(config_path("robots", "panda")))
 
 
 def test_who_asks_alike_needs_as_many_questions():

@@ -12,24 +12,11 @@ from unifeed_ros.cli.bench_reliability import measure_reliability, reliability_t
 from unifeed_ros.core.reward.buffer import build_buffer
 from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.reward.reliability import estimate_reliability
-from unifeed_ros.core.robot import RobotModel, load_robot
-from unifeed_ros.core.scene import load_scene
 from unifeed_ros.experiments.biased_people import SHORT, teach_with_bias
 from unifeed_ros.experiments.reliability_bench import bench_reliability
 from unifeed_ros.experiments.reward_quality import taught_places
-from unifeed_ros.resources import config_path
 
 H = 12
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return RobotModel(load_robot(config_path("robots", "panda")))
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return load_scene(config_path("tasks", "table"))
 
 
 @pytest.fixture(scope="module")

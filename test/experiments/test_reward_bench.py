@@ -12,8 +12,6 @@ from unifeed_ros.baselines.paper_reward import PaperTraining
 from unifeed_ros.cli.arguments import UserMistake
 from unifeed_ros.cli.bench_reward import measure_reward, reward_table
 from unifeed_ros.core.reward.config import TrainingConfig
-from unifeed_ros.core.robot import RobotModel, load_robot
-from unifeed_ros.core.scene import load_scene
 from unifeed_ros.experiments.reward_bench import bench_reward
 from unifeed_ros.experiments.reward_quality import (
     PLACES,
@@ -24,20 +22,9 @@ from unifeed_ros.experiments.reward_quality import (
     teach,
     unseen_motions,
 )
-from unifeed_ros.resources import config_path
 from unifeed_ros.simulation.tasks import TrueTask
 
 H = 8
-
-
-@pytest.fixture(scope="module")
-def robot():
-    return RobotModel(load_robot(config_path("robots", "panda")))
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return load_scene(config_path("tasks", "table"))
 
 
 @pytest.fixture(scope="module")

@@ -77,6 +77,23 @@ def require_speed(speed: float) -> float:
     return speed
 
 
+def require_letters(feedback: str) -> str:
+    """Refuse inputs of a lesson that are none.
+
+    Args:
+        feedback: Letters.
+
+    Returns:
+        The letters.
+
+    Raises:
+        UserMistake: No letter, or another than D, C and P.
+    """
+    if not feedback or set(feedback) - set("DCP"):
+        raise UserMistake("--feedback", expected="letters D, C and P, for example DDCCPP", got=feedback)
+    return feedback
+
+
 def domain() -> str:
     """Give the ROS domain of this process."""
     return os.environ.get("ROS_DOMAIN_ID", "0")

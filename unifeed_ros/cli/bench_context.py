@@ -8,7 +8,7 @@ import os
 import sys
 from typing import Any
 
-from unifeed_ros.cli.arguments import UserMistake
+from unifeed_ros.cli.arguments import UserMistake, require_letters
 from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
@@ -43,9 +43,7 @@ def measure_context(options: argparse.Namespace) -> dict[str, Any]:
     for name in ("people", "goals"):
         if getattr(options, name) < 1:
             raise UserMistake(f"--{name}", expected="at least 1", got=getattr(options, name))
-    if not options.feedback or set(options.feedback) - set("DCP"):
-        raise UserMistake("--feedback", expected="letters D, C, P", got=options.feedback)
-    tasks = options.task or list(TASKS)
+    letters, tasks = require_letters(options.feedback), options.task or list(TASKS)
     if unknown := sorted(set(tasks) - set(TASKS)):
         raise UserMistake("--task", expected=", ".join(TASKS), got=", ".join(unknown))
     trainings = {
@@ -55,7 +53,7 @@ def measure_context(options: argparse.Namespace) -> dict[str, Any]:
     figures = bench_context(
         RobotModel(load_robot(config_path("robots", options.robot))),
         [load_scene(config_path("tasks", task)) for task in tasks], trainings, people=options.people,
-        letters=options.feedback, goals=options.goals, on_row=lambda row: print(row, file=sys.stderr, flush=True))
+        letters=letters, goals=options.goals, on_row=lambda row: print(row, file=sys.stderr, flush=True))
     return {"machine": {"cpus": os.cpu_count(), "load": os.getloadavg()[0]}, **figures}
 
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from unifeed_ros.cli.arguments import UserMistake, prepare_folder
+from unifeed_ros.cli.arguments import UserMistake, prepare_folder, require_letters
 from unifeed_ros.core.errors import UnifeedError
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
@@ -75,8 +75,7 @@ def _chosen(options: argparse.Namespace) -> list[tuple[str, str, int]]:
         raise UserMistake("unknown task", expected=", ".join(TASKS), got=", ".join(unknown))
     if options.jobs < 1:
         raise UserMistake("--jobs", expected="1 or more", got=options.jobs)
-    if not options.feedback or set(options.feedback) - set("DCP"):
-        raise UserMistake("--feedback", expected="letters D, C and P, for example DDCCPP", got=options.feedback)
+    require_letters(options.feedback)
     return [(r, t, seed) for r in robots for t in tasks for seed in range(options.seeds or counts[r])]
 
 

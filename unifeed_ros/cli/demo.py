@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TextIO
 
 from unifeed_msgs.msg import Interaction, LessonState
-from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder, require_speed, session_files
+from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder, require_letters, require_speed, session_files
 from unifeed_ros.cli.monitor import SessionMonitor
 from unifeed_ros.cli.processes import NodeProcesses
 from unifeed_ros.cli.report import KINDS, build_report, describe, save_report
@@ -47,9 +47,7 @@ def run_demo(options: argparse.Namespace) -> int:
     """Run the lesson; 0 only if every interaction was completed."""
     if options.seed < 0:
         raise UserMistake("--seed", expected="0 or more", got=options.seed)
-    speed, letters = require_speed(options.speed), options.feedback.upper()
-    if not letters or set(letters) - set("DCP"):
-        raise UserMistake("--feedback", expected="letters D, C and P, for example DDCCPP", got=options.feedback)
+    speed, letters = require_speed(options.speed), require_letters(options.feedback.upper())
     files = session_files(options.robot, options.task)
     robot, scene = RobotModel(load_robot(files[0])), load_scene(files[1])
     task = TrueTask(scene=scene)

@@ -15,7 +15,7 @@ from unifeed_ros.core.reward.queries import vary_trajectory
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.scene import Scene
 from unifeed_ros.core.types import Array, Trajectory
-from unifeed_ros.experiments.reward_quality import PACE, POINTS, retimed
+from unifeed_ros.experiments.reward_quality import PACE, POINTS, retimed, teach_in_turn
 from unifeed_ros.simulation.person import SimulatedPerson
 from unifeed_ros.simulation.tasks import Yardstick, straight_line
 
@@ -52,17 +52,12 @@ def teach_with_bias(places: Sequence[Yardstick], seed: int, biased: str = "", le
         What was taught.
     """
     rng = np.random.default_rng([seed, 5])
-    people = [SimulatedPerson(place, seed) for place in places]
-    dataset = FeedbackDataset(places[0].robot.config.name, places[0].robot.joint_names)
-    for k, letter in enumerate(letters):
-        at = k % len(places)
-        dataset.add(_taught(f"{k}-{letter}", letter, places[at], people[at], letter == biased, error, rng))
-    return dataset
+    return teach_in_turn(places, seed, letters, lambda *item: _taught(*item, biased, error, rng))
 
 
-def _taught(name: str, letter: str, place: Yardstick, person: SimulatedPerson, biased: bool, error: float,
+def _taught(name: str, letter: str, place: Yardstick, person: SimulatedPerson, bias: str, error: float,
             rng: np.random.Generator) -> FeedbackItem:
-    robot, scene = place.robot, place.task.scene
+    robot, scene, biased = place.robot, place.task.scene, letter == bias
     common: dict[str, Any] = {"id": name, "robot": robot.config.name, "context": scene.context()}
     optimum = retimed(place.optimum, PACE * place.optimum.duration)
     shown = vary_trajectory(robot, optimum, error, 1, rng)[0]

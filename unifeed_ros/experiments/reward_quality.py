@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -79,11 +79,27 @@ def teach(places: Sequence[Yardstick], seed: int, letters: str = "DCPDCP", error
         What was taught.
     """
     rng = np.random.default_rng([seed, 2])
+    return teach_in_turn(places, seed, letters, lambda *item: _taught(*item, error, rng))
+
+
+def teach_in_turn(places: Sequence[Yardstick], seed: int, letters: str,
+                  taught: Callable[[str, str, Yardstick, SimulatedPerson], FeedbackItem]) -> FeedbackDataset:
+    """Collect one item for each letter, in one place after the other.
+
+    Args:
+        places: The task in the scenes that it is taught in.
+        seed: Seed of the people, one for each place.
+        letters: Kinds of feedback, in order.
+        taught: Makes an item up from its name, its letter, the place and its person.
+
+    Returns:
+        What was taught.
+    """
     people = [SimulatedPerson(place, seed) for place in places]
     dataset = FeedbackDataset(places[0].robot.config.name, places[0].robot.joint_names)
     for k, letter in enumerate(letters):
         at = k % len(places)
-        dataset.add(_taught(f"{k}-{letter}", letter, places[at], people[at], error, rng))
+        dataset.add(taught(f"{k}-{letter}", letter, places[at], people[at]))
     return dataset
 
 

@@ -168,18 +168,18 @@ class RewardLearnerNode(UnifeedNode):
             number = self._queries_asked
             done: Future = Future(executor=self.executor)
             self._worker.choose(done, model, given, self._robot, context, self._questions, self._training, number)
-            self._query = response.query = self._query_message(await done, number, request.context)
+            self._query = response.query = self._query_message(await done, number, context)
             response.success, response.message = True, self._query.message
         except UnifeedError as error:
             response.success, response.message = False, str(error)
         return response
 
-    def _query_message(self, chosen: ChosenQuery, number: int, context: TaskContext) -> PreferenceQuery:
+    def _query_message(self, chosen: ChosenQuery, number: int, context: Context) -> PreferenceQuery:
         message = (f"of {chosen.candidates} motions, the networks disagree most about these" if self._questions.active
                    else f"drawn at random from {chosen.candidates} motions")
         return PreferenceQuery(
             header=header(self._time, self._robot.config.base_frame), id=f"query-{number}",
-            context=context_to_msg(self._context_of(context)), options=[trajectory_to_msg(o) for o in chosen.options],
+            context=context_to_msg(context), options=[trajectory_to_msg(o) for o in chosen.options],
             information=float(chosen.information), message=f"{message}: {chosen.information:.2f} bit expected")
 
     # Other services.
