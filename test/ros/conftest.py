@@ -18,8 +18,17 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS is not there: source a workspace, or run make setup")
 
 REPOSITORY = Path(__file__).resolve().parents[2]
+STALLED = ["no joint state for", "joint states stopped coming"]
+"""What a session says, rightly, when the machine gave the simulated arm no processor for a tenth of a second."""
 DOMAINS = range(10, 100)
 """Domains whose ports stay below Linux's range of ephemeral ports."""
+
+
+def pytest_collection_modifyitems(items):
+    """Let a test that failed because the machine stalled, and only such a one, try again."""
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.flaky(reruns=2, only_rerun=STALLED))
 
 
 @pytest.fixture

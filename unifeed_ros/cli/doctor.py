@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import shutil
 import sys
 import tempfile
@@ -115,6 +116,14 @@ def _disk() -> tuple[bool, str]:
     return free > 2.0, f"{free:.1f} GiB free (a session takes about 1 MiB a second)"
 
 
+def _real_time() -> tuple[bool, str]:
+    """Say whether the control loop's processes may take real-time priority; it is no fault if they may not."""
+    highest = 99 if os.geteuid() == 0 else resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+    if highest == 0:
+        return True, "not permitted; commands come more evenly with a line '@users - rtprio 99' in limits.conf"
+    return True, f"priorities up to {highest} under SCHED_FIFO are permitted"
+
+
 def _loop() -> tuple[bool, str]:
     """Time a 1 kHz loop of the arm's gravity torques, as the controller runs it."""
     from unifeed_ros.core.robot import RobotModel, load_robot
@@ -145,5 +154,6 @@ CHECKS: dict[str, Callable[[], tuple[bool, str]]] = {
     "robots": _robots,
     "traffic": _traffic,
     "disk": _disk,
+    "real time": _real_time,
     "control loop": _loop,
 }

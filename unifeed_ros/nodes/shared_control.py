@@ -20,6 +20,7 @@ from unifeed_ros.core.capture.contact import ContactConfig, ContactDetector
 from unifeed_ros.core.control.controller import Command, SharedController
 from unifeed_ros.core.control.execution import ExecutionRecord
 from unifeed_ros.core.control.settings import ControlConfig
+from unifeed_ros.core.control.silence import Silence
 from unifeed_ros.core.errors import ConfigError, InputError, UnifeedError
 from unifeed_ros.core.modes import TeachingMode
 from unifeed_ros.core.types import Array, RobotState, Trajectory
@@ -31,12 +32,15 @@ from unifeed_ros.nodes.conversions import (
 from unifeed_ros.nodes.joint_stream import JointReader, JointWriter
 from unifeed_ros.nodes.node import ERROR, OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
+from unifeed_ros.nodes.real_time import RealTimeConfig
 from unifeed_ros.nodes.spin import run_node
 
 STATE_PERIOD = 0.01
 """Time between two messages on `teaching_state` while the mode stays [s]."""
 WATCH_PERIOD = 0.02
 """Time between two looks at what comes [s]."""
+LONGEST_GAP = 3.0 * WATCH_PERIOD
+"""Time between two looks beyond which this process itself was not awake [s]."""
 FEEDBACK_PERIOD = 0.1
 """Time between two feedback messages of the action [s]."""
 
@@ -75,6 +79,7 @@ class SharedControlNode(UnifeedNode):
 
     def __init__(self) -> None:
         super().__init__("shared_control")
+        self.real_time = settings(self, "real_time", RealTimeConfig)
         self._robot = self.load_robot()
         self._loop = settings(self, "loop", LoopConfig)
         self._controller = SharedController(self._robot, settings(self, "control", ControlConfig))
@@ -87,9 +92,10 @@ class SharedControlNode(UnifeedNode):
         self._state: RobotState | None = None
         self._torque: Array | None = None
         self._torque_time = self._commanded = self._sent_state = 0.0
-        self._arrived = self._answered = self._watched = 0.0
+        self._answered = 0.0
+        self._state_silence, self._session_silence = Silence(LONGEST_GAP), Silence(LONGEST_GAP)
         self._execution: _Execution | None = None
-        self._session_seen: float | None = None
+        self._session_seen = False
         self._periods: deque[float] = deque(maxlen=20000)
         self._commands = self._late = 0
         self._last_mode: TeachingMode | None = None
@@ -129,7 +135,7 @@ class SharedControlNode(UnifeedNode):
         except InputError as error:
             self._fault(f"joint state: {error}")
             return
-        self._arrived = time.monotonic()
+        self._state_silence.end()
         step = self._state.time - self._commanded
         if step < 0.0:
             self._commanded = self._state.time
@@ -138,7 +144,8 @@ class SharedControlNode(UnifeedNode):
             self._tick(self._state)
 
     def _on_lesson(self, _: LessonState) -> None:
-        self._session_seen = time.monotonic()
+        self._session_seen = True
+        self._session_silence.end()
 
     def _fault(self, reason: str) -> None:
         if self._controller.mode is not TeachingMode.INACTIVE:
@@ -173,21 +180,16 @@ class SharedControlNode(UnifeedNode):
         self.say(WARN if command.mode is TeachingMode.STOPPED else OK, command.message)
 
     def _watch(self) -> None:
-        """Notice what does not come any more.
-
-        When this process itself got no processor for a while, what came meanwhile still waits to be taken: the next
-        look tells.
-        """
+        """Notice what does not come any more."""
         now = time.monotonic()
-        paused, self._watched = now - self._watched > 3.0 * WATCH_PERIOD, now
-        if self._state is None or paused:
+        state_silence, session_silence = self._state_silence.look(now), self._session_silence.look(now)
+        if self._state is None:
             return
-        if not self._controller.check_fresh(now - self._arrived):
+        if not self._controller.check_fresh(state_silence):
             self.say(ERROR, "joint states stopped coming: check the robot's driver")
             if self._execution is not None:
                 self._end(self._execution, "joint states stopped coming")
-        if (self._execution is not None and self._session_seen is not None
-                and now - self._session_seen > self._loop.session_timeout):
+        if self._execution is not None and self._session_seen and session_silence > self._loop.session_timeout:
             self._controller.stop("the session died; start it again")
 
     # Motions.

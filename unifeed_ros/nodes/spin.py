@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from unifeed_ros.core.errors import UnifeedError
+from unifeed_ros.nodes.real_time import prefer_real_time
 
 SPIN_S = 0.05
 """Longest wait of one spin [s]; also how late a signal is noticed. The events executor needs it to be finite."""
@@ -119,7 +120,7 @@ def run_node(factory: Callable[[], Node], args: Sequence[str] | None = None) -> 
 
     A node may have a method ``close()``: it is called once before the node is destroyed, while the ROS context still
     works, also after an error (send the stop command, close the bag). A node that wants to end by itself sets its
-    attribute ``exit_status`` to a number.
+    attribute ``exit_status`` to a number. A node of the control loop has an attribute ``real_time`` (RealTimeConfig).
 
     Args:
         factory: Makes the node; called after rclpy.init.
@@ -150,6 +151,8 @@ def _run(node: Node, stop: StopSignal) -> int:
     executor: Executor | None = None
     try:
         executor = make_executor(node)
+        if (real_time := getattr(node, "real_time", None)) is not None:
+            node.get_logger().info(prefer_real_time(real_time))
         while rclpy.ok() and not stop.raised and getattr(node, "exit_status", None) is None:
             executor.spin_once(timeout_sec=SPIN_S)
         status = getattr(node, "exit_status", None) or OK
