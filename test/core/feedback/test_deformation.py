@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from unifeed_ros.core.errors import ConfigError, ShapeError
 from unifeed_ros.core.feedback.deformation import (
+    DeformationShape,
     deform_tool_states,
     deformation_matrix,
     delay,
@@ -18,6 +19,10 @@ from unifeed_ros.core.feedback.deformation import (
 
 counts = st.integers(2, 40)
 both_ends = st.sampled_from(["fixed", "free"])
+norms = st.sampled_from(["velocity", "acceleration", "jerk"])
+SHAPES = [DeformationShape(norm=norm, noise=noise) for norm in ("velocity", "acceleration", "jerk")
+          for noise in ("gaussian", "impulse")]
+shapes = st.sampled_from(SHAPES)
 
 
 def test_matrix_is_the_papers():
@@ -25,9 +30,9 @@ def test_matrix_is_the_papers():
     np.testing.assert_allclose(deformation_matrix(3), np.linalg.inv(differences.T @ differences), atol=1e-12)
 
 
-@given(count=counts, ends=both_ends)
-def test_matrix_is_symmetric_positive_definite(count, ends):
-    matrix = deformation_matrix(count, ends)
+@given(count=counts, ends=both_ends, norm=norms)
+def test_matrix_is_symmetric_positive_definite(count, ends, norm):
+    matrix = deformation_matrix(count, ends, norm)
     np.testing.assert_array_equal(matrix, matrix.T)
     assert np.linalg.eigvalsh(matrix).min() > 0
 
@@ -38,20 +43,44 @@ def test_an_impulse_spreads_smoothly(count, ends):
     assert np.abs(np.diff(impulse, 2)).max() < 0.2 * np.abs(impulse).max()
 
 
-@given(count=counts, seed=st.integers(0, 99), ends=both_ends)
-def test_the_start_stays_and_a_fixed_end_stays(count, seed, ends):
-    shifts = sample_deformations(count + 2, np.full((5, 3), 0.1), np.random.default_rng(seed), ends=ends)
+@given(count=counts, seed=st.integers(0, 99), ends=both_ends, shape=shapes)
+def test_the_start_stays_and_a_fixed_end_stays(count, seed, ends, shape):
+    shifts = sample_deformations(count + 2, np.full((5, 3), 0.1), np.random.default_rng(seed), ends=ends, shape=shape)
     assert (shifts[:, 0] == 0).all()
     assert (shifts[:, -1] == 0).all() == (ends == "fixed")
 
 
 @pytest.mark.parametrize("ends", ["fixed", "free"])
 @pytest.mark.parametrize("points", [8, 21, 101])
-def test_the_middle_moves_by_the_size_asked_for(points, ends):
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: f"{shape.norm}-{shape.noise}")
+def test_the_middle_moves_by_the_size_asked_for(points, ends, shape):
     sizes = np.tile([0.05, 0.3], (4000, 1))
-    shifts = sample_deformations(points, sizes, np.random.default_rng(0), ends=ends)
+    shifts = sample_deformations(points, sizes, np.random.default_rng(0), ends=ends, shape=shape)
     middle = 1 + ((points - (2 if ends == "fixed" else 1)) - 1) // 2
     np.testing.assert_allclose(np.sqrt((shifts[:, middle] ** 2).mean(axis=0)), [0.05, 0.3], rtol=0.05)
+
+
+@pytest.mark.parametrize("noise", ["gaussian", "impulse"])
+def test_the_higher_the_derivative_that_is_kept_small_the_smoother(noise):
+    """Fifth differences, beside the size of the deformation itself: M integrates noise 2, 4 or 6 times."""
+    roughness = []
+    for norm in ("velocity", "acceleration", "jerk"):
+        shifts = sample_deformations(40, np.full((400, 1), 0.1), np.random.default_rng(0),
+                                     shape=DeformationShape(norm=norm, noise=noise))[..., 0]
+        roughness.append(np.linalg.norm(np.diff(shifts, 5, axis=1)) / np.linalg.norm(shifts))
+    assert roughness[0] > 3.0 * roughness[1] > 9.0 * roughness[2]
+
+
+@given(count=st.integers(4, 30), seed=st.integers(0, 99), ends=both_ends, norm=norms)
+def test_an_impulse_deforms_like_one_column_of_the_matrix(count, seed, ends, norm):
+    moving = count - (2 if ends == "fixed" else 1)
+    shifts = sample_deformations(count, np.full((3, 2), 0.1), np.random.default_rng(seed), ends=ends,
+                                 shape=DeformationShape(norm=norm, noise="impulse"))
+    columns = deformation_matrix(moving, ends, norm)
+    columns = columns / np.linalg.norm(columns, axis=0)
+    moved = np.moveaxis(shifts[:, 1:1 + moving], 1, -1).reshape(-1, moving)
+    likeness = np.abs(moved @ columns) / np.linalg.norm(moved, axis=1)[:, None]
+    np.testing.assert_allclose(likeness.max(axis=1), 1.0, atol=1e-9)
 
 
 @given(scale=st.floats(0.1, 10.0), seed=st.integers(0, 99))
@@ -108,3 +137,7 @@ def test_bad_arguments_are_refused():
         sample_deformations(10, [np.nan], rng)
     with pytest.raises(ConfigError, match="fixed or free"):
         deformation_matrix(10, "loose")
+    with pytest.raises(ConfigError, match="velocity, acceleration, jerk"):
+        DeformationShape(norm="snap")
+    with pytest.raises(ConfigError, match="gaussian, impulse"):
+        DeformationShape(noise="laplace")

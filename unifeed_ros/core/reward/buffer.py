@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
-from unifeed_ros.core.feedback.deformation import Ends, deform_tool_states, delay
+from unifeed_ros.core.feedback.deformation import (
+    DeformationShape,
+    Ends,
+    Noise,
+    Norm,
+    deform_tool_states,
+    delay,
+)
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem
 from unifeed_ros.core.reward.inputs import input_names, scene_inputs
 from unifeed_ros.core.robot import RobotModel
@@ -42,9 +49,19 @@ class AlternativesConfig:
     the path, and the planner waits there."""
     free_end_share: float = 0.5
     """Share of a demonstration's alternatives whose end moves too, so that the goal itself is learned."""
+    norm: Norm = "acceleration"
+    """What of an alternative's difference is small, as in eq. M2: its velocity, acceleration or jerk."""
+    noise: Noise = "gaussian"
+    """Whether an alternative is pushed everywhere (gaussian) or, in each coordinate, at one place (impulse)."""
+
+    @property
+    def shape(self) -> DeformationShape:
+        """Norm and noise."""
+        return DeformationShape(norm=self.norm, noise=self.noise)
 
     def __post_init__(self) -> None:
-        """Reject sizes and shares that mean nothing."""
+        """Reject words, sizes and shares that mean nothing."""
+        DeformationShape(norm=self.norm, noise=self.noise)
         for name in ("position_sizes", "axis_sizes", "delay_sizes"):
             sizes = tuple(float(s) for s in getattr(self, name))
             if not sizes or not all(0.0 < s < 10.0 for s in sizes):
@@ -213,8 +230,9 @@ class _Filler:
         position_sizes = np.where(moves, rng.choice(config.position_sizes, count), 0.0)
         axis_sizes = np.where(tilts, rng.choice(config.axis_sizes, count), 0.0)
         # delays may never arrive, whatever the ends: otherwise nothing says that the end is better than the way to it
-        return (delay(states, rng.choice(config.delay_sizes, delayed), rng, ends="free"),
-                deform_tool_states(states, position_sizes, axis_sizes, rng, ends=ends))
+        return (delay(states, rng.choice(config.delay_sizes, delayed), rng, ends="free",
+                      shape=config.shape),
+                deform_tool_states(states, position_sizes, axis_sizes, rng, ends=ends, shape=config.shape))
 
     def _stack(self, alternatives: list[Inputs], count: int) -> Inputs:
         shape = (-1 if alternatives else 0, count, self._waypoints, len(self._names))
