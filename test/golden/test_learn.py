@@ -10,8 +10,8 @@ from unifeed_ros.cli.main import main
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.recording import BagWriter, Qos, RecordedTopic, message_type, read_bag
 from unifeed_ros.core.reward.config import TrainingConfig
+from unifeed_ros.core.reward.learning import learn_reward
 from unifeed_ros.core.reward.storage import load_model
-from unifeed_ros.core.reward.training import train_reward
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.nodes.conversions import feedback_from_msg, model_to_msg
 from unifeed_ros.resources import config_path
@@ -53,18 +53,19 @@ def test_models_that_went_on_from_others_are_learned_again_as_they_were(tmp_path
     robot = RobotModel(load_robot(config_path("robots", "panda")))
     dataset, models = FeedbackDataset("panda", robot.joint_names), []
 
-    def learn(previous):
-        models.append(train_reward(dataset, robot, TrainingConfig(), version=len(models) + 1, seed=1,
-                                   previous=previous and previous.ensemble))
+    def learn(**changes):
+        models.append(learn_reward(dataset, robot, TrainingConfig(**changes), version=len(models) + 1, seed=1,
+                                   known=models[-1].ensemble if models else None))
 
     for msg in taught:
         dataset.add(feedback_from_msg(msg, robot.joint_names))
-        learn(models[-1] if models else None)
-    learn(None)  # asked to begin from scratch
+        learn()
+    learn(warm_steps=0)  # asked to begin from scratch
     dataset.undo(taught[1].id)
-    learn(models[-1])  # which knows what was taken back
-    # the second input is a correction, which is learned from scratch
-    assert [m.steps == TrainingConfig().steps for m in models] == [True, True, False, True, True]
+    learn()
+    cold, warm = TrainingConfig().steps, TrainingConfig().warm_steps
+    # the second input is a correction, which is learned from scratch; without it the third one went on from the first
+    assert [m.steps for m in models] == [cold, cold, warm, cold, cold + warm]
     bag = write_bag(tmp_path / "bag", taught, [m.ensemble for m in models])
     assert main(["learn", str(bag), "--out", str(tmp_path / "out"), "--json"]) == 0
     assert [row["identical"] for row in json.loads(capsys.readouterr().out)["models"]] == [True] * 5

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,22 +62,22 @@ def run_learn(options: argparse.Namespace) -> int:
     Raises:
         UnifeedError: Not bags of one session, or nothing was taught; nothing is written.
     """
-    from unifeed_ros.core.reward.training import train_reward  # loads torch: seconds that the other commands spare
+    from unifeed_ros.core.reward.learning import learn_reward  # loads torch: seconds that the other commands spare
 
     recorded = read_taught(options.bags, options.robot)
     wanted = _wanted(recorded, options.seed)
-    rows, models = [], []
+    rows, models, known = [], [], None
+    scratch = replace(recorded.training, warm_steps=0)
     for live, ids, version, seed in wanted:
         dataset = FeedbackDataset(recorded.robot.config.name, recorded.robot.joint_names)
         for name in ids:
             dataset.add(recorded.items[name])
-        # a recording does not say whether a training went on from the model before, or was told to begin from scratch
-        for previous in ([models[-1], None] if models and recorded.training.warm_steps else [None]):
-            result = train_reward(dataset, recorded.robot, recorded.training, version=version, seed=seed,
-                                  previous=previous)
-            row = _row(live, result.ensemble, result.seconds)
-            if row["identical"]:
-                break
+        result = learn_reward(dataset, recorded.robot, recorded.training, version=version, seed=seed, known=known)
+        row, known = _row(live, result.ensemble, result.seconds), result.ensemble
+        if row["identical"] is False:  # it may have been told to begin from scratch: a recording does not say
+            again = learn_reward(dataset, recorded.robot, scratch, version=version, seed=seed)
+            if _row(live, again.ensemble, again.seconds)["identical"]:
+                result, row = again, _row(live, again.ensemble, again.seconds)
         models.append(result.ensemble)
         rows.append(row)
         print(_line(rows[-1]), file=sys.stderr if options.json else sys.stdout, flush=True)

@@ -1,4 +1,8 @@
-"""Processor time when it is due: what a process of the control loop asks the system for, and what it got."""
+"""Processor time when it is due: what the controller's process asks the system for, and what it got.
+
+Only the controller asks. Where all that a session runs wants more than there is, the simulated arm slows down and the
+rest goes on; with real-time priority it would not, and capture, learning and recording would starve.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +22,7 @@ LOCK_PRESENT, LOCK_FUTURE, LOCK_ON_FAULT = 1, 2, 4
 
 @dataclass(frozen=True, kw_only=True)
 class RealTimeConfig:
-    """What the process of a control loop asks for; whatever is not permitted is left out."""
+    """What the controller's process asks for; whatever is not permitted is left out."""
 
     priority: int = 20
     """Priority under SCHED_FIFO, 1 to 99; 0: scheduled like any other process."""

@@ -55,6 +55,7 @@ class RewardLearnerNode(UnifeedNode):
         self._questions = settings(self, "query", QueryConfig)
         self._dataset = FeedbackDataset(self._robot.config.name, self._robot.joint_names)
         self._model: RewardEnsemble | None = None
+        self._known: RewardEnsemble | None = None
         self._version = 0
         self._reliability = (1.0, 1.0, 1.0)
         self._motions: list[Trajectory] = []
@@ -125,10 +126,12 @@ class RewardLearnerNode(UnifeedNode):
         self._busy = True
         self._publish_status_message()
         done: Future = Future(executor=self.executor)
-        self._worker.train(done, self._dataset, self._robot, self._training, version=self._version + 1,
-                           seed=self._questions.seed, previous=None if request.from_scratch else self._model)
+        self._worker.train(done, self._dataset, self._robot, self._training, from_scratch=request.from_scratch,
+                           version=self._version + 1, seed=self._questions.seed, known=self._known)
         try:
             self._finish(await done, response)
+            if not request.from_scratch:
+                self._known = self._model
         except UnifeedError as error:
             response.success, response.message, response.version = False, str(error), self._version
             self.say(ERROR, f"not trained, the last good model stays: {error}")

@@ -22,6 +22,7 @@ from trajectory_msgs.msg import JointTrajectory
 from unifeed_msgs.action import ExecuteTrajectory, OptimizeTrajectory
 from unifeed_msgs.msg import Feedback, Interaction, LessonState, RewardModel, TeachingState
 from unifeed_msgs.srv import SelectQuery, SetMode, TrainReward
+from unifeed_ros.core.control.silence import Silence
 from unifeed_ros.core.errors import ConfigError, UnifeedError
 from unifeed_ros.core.reward.storage import save_model
 from unifeed_ros.nodes.conversions import context_to_msg, model_from_msg
@@ -31,6 +32,10 @@ from unifeed_ros.nodes.spin import run_node
 from unifeed_ros.nodes.waiting import Interrupted, LessonError, Waiting
 
 LETTERS = {Feedback.DEMONSTRATION: "D", Feedback.CORRECTION: "C", Feedback.PREFERENCE: "P"}
+STATE_PERIOD = 0.1
+"""Time between two messages on `lesson_state` [s]."""
+LONGEST_GAP = 3.0 * STATE_PERIOD
+"""Time between two looks at the nodes beyond which this process itself was not awake [s]."""
 FINAL_PHASES = (LessonState.READY, LessonState.PAUSED, LessonState.FAULT)
 
 
@@ -82,7 +87,7 @@ class SessionNode(UnifeedNode):
         self._waiting = Waiting(self, lambda: self._message if self._phase == LessonState.FAULT else "")
         self._goal: Any = None
         self._back: threading.Thread | None = None
-        self._seen: dict[str, float] = {}
+        self._silences: dict[str, Silence] = {}
         self._teaching: TeachingState | None = None
         self._connect()
         self._worker = threading.Thread(target=self._work, name="lesson", daemon=True)
@@ -106,7 +111,7 @@ class SessionNode(UnifeedNode):
                             "run": self._on_run, "pause": self._on_pause, "ask": self._on_ask, "save": self._on_save,
                             "reset": self._on_reset}.items():
             self.create_service(Trigger, name, serve)
-        self.create_timer(0.1, self._tick, clock=self.steady)
+        self.create_timer(STATE_PERIOD, self._tick, clock=self.steady)
 
     # Callbacks: store, check, queue.
 
@@ -118,7 +123,8 @@ class SessionNode(UnifeedNode):
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
-            self._seen[status.name.removeprefix(DIAGNOSTICS_PREFIX)] = time.monotonic()
+            name = status.name.removeprefix(DIAGNOSTICS_PREFIX)
+            self._silences.setdefault(name, Silence(LONGEST_GAP)).end()
 
     def _tick(self) -> None:
         dead = self._dead_nodes() if self._phase != LessonState.WAITING else []
@@ -131,7 +137,8 @@ class SessionNode(UnifeedNode):
 
     def _dead_nodes(self) -> list[str]:
         now = time.monotonic()
-        return [n for n in self._config.required_nodes if now - self._seen.get(n, -np.inf) > self._config.node_timeout]
+        silent = {name: silence.look(now) for name, silence in self._silences.items()}
+        return [n for n in self._config.required_nodes if silent.get(n, np.inf) > self._config.node_timeout]
 
     def _on_start(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._accept(response, (LessonState.READY,), self._demonstrate,

@@ -17,7 +17,6 @@ from unifeed_ros.nodes.conversions import stamp
 from unifeed_ros.nodes.joint_stream import JointReader, JointWriter
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
-from unifeed_ros.nodes.real_time import RealTimeConfig
 from unifeed_ros.nodes.spin import run_node
 from unifeed_ros.simulation.arm import SimulatedArm
 
@@ -53,7 +52,6 @@ class SimArmNode(UnifeedNode):
 
     def __init__(self) -> None:
         super().__init__("sim_arm")
-        self.real_time = settings(self, "real_time", RealTimeConfig)
         self._robot = self.load_robot()
         scene = self.load_scene()
         self._config = settings(self, "simulation", SimulationConfig)

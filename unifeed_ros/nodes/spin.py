@@ -120,7 +120,7 @@ def run_node(factory: Callable[[], Node], args: Sequence[str] | None = None) -> 
 
     A node may have a method ``close()``: it is called once before the node is destroyed, while the ROS context still
     works, also after an error (send the stop command, close the bag). A node that wants to end by itself sets its
-    attribute ``exit_status`` to a number. A node of the control loop has an attribute ``real_time`` (RealTimeConfig).
+    attribute ``exit_status`` to a number. A node that controls the arm has an attribute ``real_time`` (RealTimeConfig).
 
     Args:
         factory: Makes the node; called after rclpy.init.

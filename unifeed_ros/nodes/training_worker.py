@@ -11,7 +11,7 @@ import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future as PoolFuture
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.sharedctypes import Synchronized
 from typing import Any
@@ -61,7 +61,7 @@ class TrainingWorker:
         return float(self._shared.value)
 
     def train(self, done: Future, dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig,
-              **arguments: Any) -> None:
+              *, from_scratch: bool, **arguments: Any) -> None:
         """Start a training.
 
         Args:
@@ -69,10 +69,11 @@ class TrainingWorker:
             dataset: What was taught.
             robot: The arm.
             config: Settings.
-            **arguments: The rest of train_reward's arguments.
+            from_scratch: Whether to train on everything at once, and not as if the inputs had come one by one.
+            **arguments: The rest of learn_reward's arguments.
         """
         self._shared.value = 0.0
-        self._start(done, _train, dataset, robot.config, config, arguments)
+        self._start(done, _train, dataset, robot.config, config, from_scratch, arguments)
 
     def choose(self, done: Future, ensemble: RewardEnsemble, given: Sequence[Trajectory], robot: RobotModel,
                context: Context, config: QueryConfig, training: TrainingConfig, number: int) -> None:
@@ -125,17 +126,17 @@ def _prepare(progress: Synchronized[float]) -> None:
 
 def _warm_up() -> None:
     """Load what the first training would wait for, then give up priority."""
-    import unifeed_ros.core.reward.training  # noqa: F401
+    import unifeed_ros.core.reward.learning  # noqa: F401
 
     os.nice(NICENESS)
 
 
-def _train(
-    dataset: FeedbackDataset, robot: RobotConfig, config: TrainingConfig, arguments: dict[str, Any]
-) -> TrainingResult:
-    from unifeed_ros.core.reward.training import train_reward
+def _train(dataset: FeedbackDataset, robot: RobotConfig, config: TrainingConfig, from_scratch: bool,
+           arguments: dict[str, Any]) -> TrainingResult:
+    from unifeed_ros.core.reward.learning import learn_reward
 
-    return train_reward(dataset, RobotModel(robot), config, on_progress=_set_progress, **arguments)
+    config = replace(config, warm_steps=0) if from_scratch else config
+    return learn_reward(dataset, RobotModel(robot), config, on_progress=_set_progress, **arguments)
 
 
 def _choose(ensemble: RewardEnsemble, given: Sequence[Trajectory], robot: RobotConfig, context: Context,

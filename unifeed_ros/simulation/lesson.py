@@ -14,8 +14,8 @@ from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackI
 from unifeed_ros.core.planning.plan import Plan, PlannerConfig, plan_motion
 from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
+from unifeed_ros.core.reward.learning import learn_reward
 from unifeed_ros.core.reward.queries import select_query, with_variations
-from unifeed_ros.core.reward.training import train_reward
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.scene import Scene
 from unifeed_ros.core.types import Array, Trajectory
@@ -199,8 +199,8 @@ class _Lesson:
             self._dataset.add(item)
         if not any(not isinstance(item, Preference) or item.ranked_pairs for item in taught):
             return 0.0, float("nan")
-        result = train_reward(self._dataset, self._robot, self._config.training, version=self._count,
-                              seed=self._seed, previous=self._model)
+        result = learn_reward(self._dataset, self._robot, self._config.training, version=self._count,
+                              seed=self._seed, known=self._model)
         self._model = result.ensemble
         return result.seconds, result.accuracy
 

@@ -160,18 +160,6 @@ def test_it_does_not_go_on_from_a_model_that_cannot_learn_any_more(result, panda
     assert anew.accuracy > 0.8
 
 
-@pytest.mark.parametrize("undone", ["d", "c", "p"])
-def test_undo_gives_the_model_that_would_have_been_learned_without_the_input(undone, result, panda, items):
-    config = dataclasses.replace(QUICK, steps=30, warm_steps=15)
-    taken_back = dataset_of(panda, items)
-    taken_back.undo(undone)
-    after = train_reward(taken_back, panda, config, version=5, seed=7, previous=result.ensemble)
-    never_taught = dataset_of(panda, [item for item in items if item.id != undone])
-    without = train_reward(never_taught, panda, config, version=5, seed=7)
-    assert after.ensemble.flat_weights().tobytes() == without.ensemble.flat_weights().tobytes()
-    assert after.ensemble.feedback_ids == without.ensemble.feedback_ids
-
-
 def test_the_buffer_holds_algorithm_1s_comparisons(panda, items):
     buffer = build_buffer(dataset_of(panda, items), panda, waypoints=12, demonstration_alternatives=9,
                           correction_alternatives=5, config=AlternativesConfig(delay_share=0.0),

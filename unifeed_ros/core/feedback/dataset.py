@@ -47,6 +47,13 @@ class FeedbackDataset:
                                 mend="teach the robot something first")
         return items
 
+    def only(self, items: Sequence[FeedbackItem]) -> FeedbackDataset:
+        """Give a dataset of some of the items, in the order given."""
+        part = FeedbackDataset(self.robot, self.joint_names)
+        for item in items:
+            part.add(item)
+        return part
+
     def add(self, item: FeedbackItem) -> None:
         """Append an item.
 

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from unifeed_ros.core.errors import TrainingError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
-from unifeed_ros.core.feedback.items import Correction
 from unifeed_ros.core.reward.adam import Adam
 from unifeed_ros.core.reward.batches import Batches
 from unifeed_ros.core.reward.buffer import RankingsBuffer, build_buffers
@@ -45,9 +44,8 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         config: Settings.
         version: Version of the new model.
         seed: Seed of everything random.
-        previous: Model to go on from, if the settings allow it, its inputs and sizes are the same, it can still learn
-            from what is new, and all that it learned from is still there: after an undo, training from scratch gives
-            the model of what is left.
+        previous: Model to go on from, if the settings allow it, its inputs and sizes are the same and it can still
+            learn from what is new. `learning.learn_reward` says when that is wise.
         on_progress: Called now and then with the share of the steps that are done.
 
     Returns:
@@ -65,8 +63,7 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
     sizes = (len(buffer.inputs), *config.hidden, 1)
     with _one_thread():
         networks = Networks(sizes, config.members, rng, config.activation, len(config.features))
-        warm = (config.warm_steps > 0 and previous is not None and _continues(previous, dataset)
-                and _take_over(networks, previous, buffer))
+        warm = config.warm_steps > 0 and previous is not None and _take_over(networks, previous, buffer)
         steps = config.warm_steps if warm else config.steps
         _optimise(networks, buffer, config, reliability, steps,
                   config.warm_learning_rate if warm else config.learning_rate, rng, on_progress)
@@ -83,17 +80,6 @@ def train_reward(dataset: FeedbackDataset, robot: RobotModel, config: TrainingCo
         loss_demonstrations=_mean(terms.demonstrations, len(buffer.demonstrated)),
         loss_corrections=_mean(terms.corrections, 2 * len(buffer.corrected)),
         loss_preferences=_mean(terms.preferences, len(buffer.better)))
-
-
-def _continues(previous: RewardEnsemble, dataset: FeedbackDataset) -> bool:
-    """Tell whether a model may be gone on from.
-
-    Not if an input was taken back since, of which it would keep a trace; nor after a correction, which says that the
-    model is wrong: in as few steps, going on from it learns less of it than starting anew.
-    """
-    known = set(previous.feedback_ids)
-    return known <= {item.id for item in dataset.items} and not any(
-        isinstance(item, Correction) and item.id not in known for item in dataset.items)
 
 
 def _take_over(networks: Networks, previous: RewardEnsemble, buffer: RankingsBuffer) -> bool:
