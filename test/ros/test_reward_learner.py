@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
+
+import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 from session_helpers import session_files
@@ -25,14 +28,51 @@ def demonstration(files):
     return feedback_to_msg(item, 1.0, robot.config.base_frame)
 
 
-def test_questions_are_chosen_while_the_node_answers(start_node, ros_node, spin_until, call):
-    start_node("reward_learner", {"query.candidates": 3000, "training.steps": 20}, parameter_files=session_files())
-    statuses = []
-    ros_node.create_subscription(RewardStatus, "reward_status", statuses.append, subscriber_qos("reward_status"))
-    feedback = ros_node.create_publisher(Feedback, "feedback", publisher_qos("feedback"))
-    spin_until(lambda: feedback.get_subscription_count() > 0, 60.0)
-    feedback.publish(demonstration(session_files()))
-    spin_until(lambda: statuses and statuses[-1].demonstrations == 1, 30.0)
+@pytest.fixture
+def taught_learner(start_node, ros_node, spin_until):
+    """Start the node and demonstrate one motion: taught_learner(**parameters) gives its process."""
+
+    def start(**parameters):
+        process = start_node("reward_learner", {name.replace("__", "."): value for name, value in parameters.items()},
+                             parameter_files=session_files())
+        statuses = []
+        ros_node.create_subscription(RewardStatus, "reward_status", statuses.append, subscriber_qos("reward_status"))
+        feedback = ros_node.create_publisher(Feedback, "feedback", publisher_qos("feedback"))
+        spin_until(lambda: feedback.get_subscription_count() > 0, 60.0)
+        feedback.publish(demonstration(session_files()))
+        spin_until(lambda: statuses and statuses[-1].demonstrations == 1, 30.0)
+        return process
+
+    return start
+
+
+def test_the_newest_training_wins(taught_learner, ros_node, spin_until):
+    taught_learner(training__steps=20000)  # a minute
+    client = ros_node.create_client(TrainReward, "train_reward")
+    spin_until(client.service_is_ready, 30.0)
+    older = [client.call_async(TrainReward.Request()) for _ in range(2)]
+    end = time.monotonic() + 2.0
+    spin_until(lambda: time.monotonic() > end)
+    assert not older[0].done()
+    newest = client.call_async(TrainReward.Request())
+    spin_until(lambda: all(future.done() for future in older), 30.0)
+    for future in older:
+        assert not future.result().success and "a newer request took its place" in future.result().message
+    assert not newest.done()
+
+
+def test_a_model_comes_once_of_many_requests(taught_learner, ros_node, spin_until):
+    taught_learner(training__steps=50)
+    client = ros_node.create_client(TrainReward, "train_reward")
+    spin_until(client.service_is_ready, 30.0)
+    answers = [client.call_async(TrainReward.Request()) for _ in range(6)]
+    spin_until(lambda: all(future.done() for future in answers), 60.0)
+    versions = [future.result().version for future in answers if future.result().success]
+    assert answers[-1].result().success and versions == sorted(set(versions))
+
+
+def test_questions_are_chosen_while_the_node_answers(taught_learner, ros_node, spin_until, call):
+    taught_learner(query__candidates=3000, training__steps=20)
     assert call(TrainReward, "train_reward").success
 
     order = []

@@ -62,7 +62,7 @@ class RewardLearnerNode(UnifeedNode):
         self._query: PreferenceQuery | None = None
         self._queries_asked = 0
         self._time = 0.0
-        self._busy = False
+        self._under_way = 0
         self._worker = TrainingWorker()
         self._connect()
         self.say(OK, "nothing taught yet")
@@ -111,32 +111,29 @@ class RewardLearnerNode(UnifeedNode):
     # Training.
 
     async def _on_train(self, request: TrainReward.Request, response: TrainReward.Response) -> TrainReward.Response:
-        if self._busy:
-            response.success, response.message, response.version = (
-                False,
-                "a training is under way: ask again",
-                self._version,
-            )
-            return response
         try:
             self._dataset.comparisons()  # answered at once, also while the worker still starts
         except UnifeedError as error:
             response.success, response.message, response.version = False, str(error), self._version
             return response
-        self._busy = True
+        self._under_way += 1
         self._publish_status_message()
         done: Future = Future(executor=self.executor)
-        self._worker.train(done, self._dataset, self._robot, self._training, from_scratch=request.from_scratch,
-                           version=self._version + 1, seed=self._questions.seed, known=self._known)
+        number = self._worker.train(
+            done, self._dataset, self._robot, self._training, from_scratch=request.from_scratch,
+            version=self._version + 1, seed=self._questions.seed, known=self._known)
         try:
-            self._finish(await done, response)
+            result = await done
+            self._worker.require_newest(number)
+            self._finish(result, response)
             if not request.from_scratch:
                 self._known = self._model
         except UnifeedError as error:
             response.success, response.message, response.version = False, str(error), self._version
-            self.say(ERROR, f"not trained, the last good model stays: {error}")
+            if self._under_way == 1:  # else a newer request goes on
+                self.say(ERROR, f"not trained, the last good model stays: {error}")
         finally:
-            self._busy = False
+            self._under_way -= 1
             self._publish_status_message()
         return response
 
@@ -250,12 +247,12 @@ class RewardLearnerNode(UnifeedNode):
         return self._model
 
     def _tick(self) -> None:
-        if self._busy:
+        if self._under_way:
             self._publish_status_message()
 
     def _publish_status_message(self) -> None:
         demonstrations, corrections, preferences = self._dataset.counts
-        failed = self._status.level == ERROR
+        state = RewardStatus.FAILED if self._status.level == ERROR else RewardStatus.IDLE
         self._statuses.publish(
             RewardStatus(
                 header=header(self._time, self._robot.config.base_frame),
@@ -264,8 +261,8 @@ class RewardLearnerNode(UnifeedNode):
                 corrections=corrections,
                 preferences=preferences,
                 **self._trust(),
-                progress=self._worker.progress if self._busy else 1.0,
-                state=RewardStatus.TRAINING if self._busy else RewardStatus.FAILED if failed else RewardStatus.IDLE,
+                progress=self._worker.progress if self._under_way else 1.0,
+                state=RewardStatus.TRAINING if self._under_way else state,
                 message=self._status.message,
             )
         )

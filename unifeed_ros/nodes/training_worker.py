@@ -32,6 +32,7 @@ NICENESS = 10
 """Priority given up, so that training never delays the control loop on a machine with few cores."""
 
 _progress: Synchronized[float] | None = None
+_newest: Synchronized[int] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,8 +52,9 @@ class TrainingWorker:
 
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self._shared = context.Value("d", 0.0)
-        self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_prepare, initargs=(self._shared,))
+        self._shared, self._newest = context.Value("d", 0.0), context.Value("L", 0)
+        self._pool = ProcessPoolExecutor(1, mp_context=context, initializer=_prepare,
+                                         initargs=(self._shared, self._newest))
         self._pool.submit(_warm_up)
 
     @property
@@ -61,8 +63,8 @@ class TrainingWorker:
         return float(self._shared.value)
 
     def train(self, done: Future, dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig,
-              *, from_scratch: bool, **arguments: Any) -> None:
-        """Start a training.
+              *, from_scratch: bool, **arguments: Any) -> int:
+        """Start a training; an older one that is not done ends with a TrainingError that says so.
 
         Args:
             done: Gets the TrainingResult, or a TrainingError whatever went wrong.
@@ -71,9 +73,25 @@ class TrainingWorker:
             config: Settings.
             from_scratch: Whether to train on everything at once, and not as if the inputs had come one by one.
             **arguments: The rest of learn_reward's arguments.
+
+        Returns:
+            Number of the training, for require_newest.
         """
         self._shared.value = 0.0
-        self._start(done, _train, dataset, robot.config, config, from_scratch, arguments)
+        self._newest.value += 1
+        self._start(done, _train, self._newest.value, dataset, robot.config, config, from_scratch, arguments)
+        return int(self._newest.value)
+
+    def require_newest(self, number: int) -> None:
+        """Refuse the result of a training that a newer one was asked for.
+
+        Args:
+            number: Number of the training.
+
+        Raises:
+            TrainingError: It is not the newest one.
+        """
+        _require_newest(number, self._newest)
 
     def choose(self, done: Future, ensemble: RewardEnsemble, given: Sequence[Trajectory], robot: RobotModel,
                context: Context, config: QueryConfig, training: TrainingConfig, number: int) -> None:
@@ -116,10 +134,10 @@ def _hand_over(finished: PoolFuture[Any], done: Future) -> None:
         done.set_exception(TrainingError("the training process failed", got=repr(error), mend="see the log"))
 
 
-def _prepare(progress: Synchronized[float]) -> None:
+def _prepare(progress: Synchronized[float], newest: Synchronized[int]) -> None:
     """Set the process up: it ends with its parent, and leaves Ctrl-C to it."""
-    global _progress
-    _progress = progress
+    global _progress, _newest
+    _progress, _newest = progress, newest
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent(signal.SIGKILL)
 
@@ -131,12 +149,13 @@ def _warm_up() -> None:
     os.nice(NICENESS)
 
 
-def _train(dataset: FeedbackDataset, robot: RobotConfig, config: TrainingConfig, from_scratch: bool,
+def _train(number: int, dataset: FeedbackDataset, robot: RobotConfig, config: TrainingConfig, from_scratch: bool,
            arguments: dict[str, Any]) -> TrainingResult:
     from unifeed_ros.core.reward.learning import learn_reward
 
+    _set_progress(number, 0.0)
     config = replace(config, warm_steps=0) if from_scratch else config
-    return learn_reward(dataset, RobotModel(robot), config, on_progress=_set_progress, **arguments)
+    return learn_reward(dataset, RobotModel(robot), config, on_progress=partial(_set_progress, number), **arguments)
 
 
 def _choose(ensemble: RewardEnsemble, given: Sequence[Trajectory], robot: RobotConfig, context: Context,
@@ -150,6 +169,13 @@ def _choose(ensemble: RewardEnsemble, given: Sequence[Trajectory], robot: RobotC
                        candidates=len(candidates))
 
 
-def _set_progress(progress: float) -> None:
-    if _progress is not None:
-        _progress.value = progress
+def _set_progress(number: int, progress: float) -> None:
+    """Tell how far a training is, and end it if a newer one was asked for."""
+    assert _progress is not None and _newest is not None
+    _require_newest(number, _newest)
+    _progress.value = progress
+
+
+def _require_newest(number: int, newest: Synchronized[int]) -> None:
+    if number != newest.value:
+        raise TrainingError("the training was given up", mend="a newer request took its place: its answer counts")
