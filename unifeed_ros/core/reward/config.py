@@ -35,9 +35,9 @@ class TrainingConfig:
     """States H that a motion is compared by; the planner should use as many."""
     demonstration_comparisons: int = 200
     """Weight of eq. M4 in the sum N_d."""
-    correction_comparisons: int = 50
-    """Weight of eq. M5 in the sum N_c. Less than a demonstration's because a
-    correction says nothing of the rest of the motion, and of how fast it should be."""
+    correction_comparisons: int = 150
+    """Weight of eq. M5 in the sum N_c. Somewhat less than a demonstration's, because a correction says nothing of the
+    rest of the motion and of how fast it should be; much less, and what was pushed away comes back."""
     preference_comparisons: int = 5
     """Weight of eq. M6 in the sum N_q: how often each ranked pair stands in the buffer. Less than the others because
     the better of two motions, unlike what was shown, need not be good, and because questions are about near motions,
