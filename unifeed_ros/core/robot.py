@@ -47,6 +47,10 @@ class RobotConfig:
     """Joint stiffness of the impedance controller, length n [Nm/rad]; empty: 100."""
     damping: Sequence[float] = ()
     """Joint damping of the impedance controller, length n [Nm s/rad]; empty: 2 sqrt(stiffness)."""
+    tool_stiffness: Sequence[float] = (1000.0, 1000.0, 1000.0, 50.0, 50.0, 50.0)
+    """Stiffness at the tool where the impedance is there, three [N/m], then three [Nm/rad]."""
+    tool_damping: Sequence[float] = (70.0, 70.0, 70.0, 5.0, 5.0, 5.0)
+    """Damping at the tool where the impedance is there, three [N s/m], then three [Nm s/rad]."""
     contact_thresholds: Sequence[float] = ()
     """External torque that counts as a touch, length n [Nm]; empty: 2."""
     friction: Sequence[float] = ()
@@ -71,6 +75,11 @@ class RobotConfig:
                 raise ConfigError(f"{name} of robot {self.name}", expected=f"{n} numbers, one a joint", got=len(values))
             if not np.isfinite(values).all() or (name != "seed" and min(values, default=1.0) < 0):
                 raise ConfigError(f"{name} of robot {self.name}", expected="finite, not negative", got=values)
+            object.__setattr__(self, name, values)
+        for name in ("tool_stiffness", "tool_damping"):
+            values = tuple(float(v) for v in getattr(self, name))
+            if len(values) != 6 or not all(0.0 <= v < np.inf for v in values):
+                raise ConfigError(f"{name} of robot {self.name}", expected="6 finite numbers, not negative", got=values)
             object.__setattr__(self, name, values)
         object.__setattr__(self, "joints", tuple(self.joints))
 

@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from unifeed_msgs.msg import Contact, Feedback, RewardModel, TaskContext, TeachingState
 from unifeed_ros.core.capture.contact import ContactSample
 from unifeed_ros.core.capture.external import by_name
-from unifeed_ros.core.control.controller import Command
+from unifeed_ros.core.control.command import Command
 from unifeed_ros.core.errors import InputError
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
 from unifeed_ros.core.reward.ensemble import RewardEnsemble

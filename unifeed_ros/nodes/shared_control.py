@@ -17,7 +17,8 @@ from unifeed_msgs.action import ExecuteTrajectory
 from unifeed_msgs.msg import LessonState
 from unifeed_msgs.srv import SetMode
 from unifeed_ros.core.capture.contact import ContactConfig, ContactDetector
-from unifeed_ros.core.control.controller import Command, SharedController
+from unifeed_ros.core.control.command import Command
+from unifeed_ros.core.control.controller import SharedController
 from unifeed_ros.core.control.execution import ExecutionRecord
 from unifeed_ros.core.control.settings import ControlConfig
 from unifeed_ros.core.control.silence import Silence

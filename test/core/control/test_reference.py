@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unifeed_ros.core.control.reference import Reference, SampledMotion, Setpoint, require_motion
+from unifeed_ros.core.control.reference import Reference
+from unifeed_ros.core.control.sampled_motion import SampledMotion, Setpoint, require_motion
 from unifeed_ros.core.control.settings import ControlConfig
 from unifeed_ros.core.errors import InputError
 from unifeed_ros.core.robot import RobotModel, load_robot

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from unifeed_ros.core.control.arbitration import Arbitration
-from unifeed_ros.core.control.impedance import ImpedanceLaw
-from unifeed_ros.core.control.reference import Braking, Reference, SampledMotion, Setpoint, require_motion
+from unifeed_ros.core.control.command import Command
+from unifeed_ros.core.control.energy import EnergyAccount
+from unifeed_ros.core.control.impedance import make_law
+from unifeed_ros.core.control.reference import FOLLOW_GAIN, Braking, Reference
+from unifeed_ros.core.control.sampled_motion import SampledMotion, Setpoint, require_motion, require_tool
 from unifeed_ros.core.control.safety import LONGEST_TICK, SafetyFilter, all_finite
 from unifeed_ros.core.control.settings import ControlConfig
+from unifeed_ros.core.control.state_watch import StateWatch
 from unifeed_ros.core.errors import InputError
 from unifeed_ros.core.modes import Control, TeachingMode
 from unifeed_ros.core.robot import RobotModel
@@ -22,32 +24,8 @@ SETTLED_SPEED = 0.05
 """Speed of the fastest joint below which a motion counts as ended [rad/s]."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Command:
-    """What the controller decided in one tick."""
-
-    torque: Array | None
-    """Joint torques, without gravity where the robot's driver adds it, shape (n,) [Nm]; None: send nothing."""
-    mode: TeachingMode
-    """What the controller does."""
-    control: Control
-    """Who leads."""
-    authority: float
-    """Share of the robot in the command, in [0, 1] [1]."""
-    motion_id: str
-    """Name of the motion that is tracked; empty otherwise."""
-    motion_time: float
-    """Time within that motion [s]."""
-    force: float
-    """Size of the person's force at the tool, estimated from external torque [N]."""
-    message: str
-    """A sentence for a person."""
-    finished: bool
-    """True once the tracked motion has ended and the arm rests at its end."""
-
-
 class SharedController:
-    """Joint impedance around a reference that both the plan and the person's hand shape.
+    """Impedance around a reference that both the plan and the person's hand shape.
 
     Call hold, guide or track to choose a mode, then step once a tick. A stop lasts until hold or guide. Faults of the
     input do not raise in step: the arm stops and the command's message says why.
@@ -61,7 +39,15 @@ class SharedController:
         self.robot, self.config = robot, config or ControlConfig()
         self.mode = TeachingMode.INACTIVE
         """What the controller does."""
-        self._law = ImpedanceLaw(robot)
+        self.account = EnergyAccount(self.config)
+        """What the arm may still give away."""
+        self._law = make_law(robot, self.config)
+        self._watch = StateWatch(robot, self.config)
+        self._sent: tuple[Array, Array] | None = None
+        self._setpoint: Setpoint | None = None
+        self._stiffness = np.zeros(robot.n)
+        self._push = np.zeros(robot.n)
+        self._dead_zone = self.config.yield_start * np.array(robot.config.contact_thresholds)
         self._arbitration = Arbitration(robot.config.contact_thresholds, self.config)
         self._safety = SafetyFilter(robot, self.config)
         self._reference: Reference | None = None
@@ -116,6 +102,7 @@ class SharedController:
         robot = self.robot
         require_motion(trajectory, robot.joint_names, robot.lower - robot.config.position_margin,
                        robot.upper + robot.config.position_margin, robot.velocity_limits)
+        require_tool(robot, trajectory, self.config)
         start = self._begin(state)
         gap = float(np.abs(trajectory.positions[0] - start.positions).max())
         if gap > self.config.start_tolerance:
@@ -128,7 +115,7 @@ class SharedController:
         self._motion_id = motion_id
 
     def stop(self, reason: str) -> None:
-        """Stop and hold softly in place, until hold or guide; the first reason stays.
+        """Stop as the stop category says, until hold or guide; the first reason stays.
 
         Args:
             reason: Why, as a clause for a person.
@@ -140,6 +127,7 @@ class SharedController:
     def deactivate(self) -> None:
         """Send nothing more; the arm holds itself."""
         self._safety.start_from(None)
+        self._sent = None
         self._enter(TeachingMode.INACTIVE, "inactive; choose hold or guide")
 
     def check_fresh(self, age: float) -> bool:
@@ -171,21 +159,42 @@ class SharedController:
         now = state.time if now is None else now
         period, self._now = now - self._now, now
         fresh = self.check_fresh(now - state.time)
-        fault = self._safety.fault_of(state)
-        if fault is not None and self.mode is not TeachingMode.INACTIVE:
-            self.stop(fault)
-        usable = fault is None or self._safety.readable(state)
+        usable = self._check(state)
         dt = 0.0
         if usable:
             dt = min(max(state.time - self._state.time, 0.0), LONGEST_TICK) if self._state is not None else 0.0
             self._state = state
             self._listen(state, external_torque, dt)
+            self._settle(state, dt)
         if self._state is None or self.mode is TeachingMode.INACTIVE:
-            return self._answer(None)
-        wanted = self._torque(state, dt) if fresh and usable else self._law.weight(self._state.positions)
+            return self._answer(None, period)
+        wanted = self._torque(state, dt) if fresh and usable else self._blind_torque(self._state)
+        weight = self._law.weight(self._state.positions)
         if not self._safety.started:
-            self._safety.start_from(self._law.weight(self._state.positions))
-        return self._answer(self._safety.limited(wanted, period))
+            self._safety.start_from(weight)
+        torque = self._safety.limited(wanted, period)
+        self._sent = (torque - weight, self._state.positions)
+        return self._answer(torque, period)
+
+    def _check(self, state: RobotState) -> bool:
+        """Stop if there is something wrong with a state; true if torques can be computed from it."""
+        fault = self._safety.fault_of(state)
+        usable = fault is None or self._safety.readable(state)
+        if usable:
+            speeds = self._reference.setpoint.velocities.tolist() if self._motion and self._reference else (0.0,)
+            fault = self._watch.fault_of(state, max(max(speeds), -min(speeds))) or fault
+        if fault is not None and self.mode is not TeachingMode.INACTIVE:
+            self.stop(fault)
+        return usable
+
+    def _settle(self, state: RobotState, dt: float) -> None:
+        """Book the work of the last command; the supply is open while nobody has touched for a while."""
+        if self._sent is not None:
+            torque, began = self._sent
+            arbitration = self._arbitration
+            untouched = arbitration.authority == 1.0 and arbitration.level < self.config.untouched_level
+            untouched = untouched and self.mode in (TeachingMode.HOLD, TeachingMode.TRACK)
+            self.account.settle(float(torque @ (state.positions - began)), dt if untouched else 0.0)
 
     def _begin(self, state: RobotState) -> Setpoint:
         """Check a state and say from where a new reference goes on, so that it does not jump."""
@@ -217,29 +226,54 @@ class SharedController:
             torque = self._zero
         else:
             self._blind = 0.0
+        self._push = torque
         velocities = state.velocities.tolist()
         self._arbitration.step(torque, max(max(velocities), -min(velocities)), dt)
         self._ticks += 1
         if self._ticks % FORCE_TICKS == 0:
-            jacobian = self.robot.tool_jacobian(state.positions)[:3]
-            force = np.linalg.solve(jacobian @ jacobian.T + 1e-3 * np.eye(3), jacobian @ torque)
-            self._force += 0.3 * (float(np.sqrt(force @ force)) - self._force)
+            jacobian = self._safety.jacobian[:3]
+            felt = np.linalg.solve(jacobian @ jacobian.T + 1e-3 * np.eye(3), jacobian @ torque)
+            force = float(np.sqrt(felt @ felt))
+            self._force += 0.3 * (force - self._force)
+            if (fault := self._safety.force_fault(force)) is not None and self.mode is not TeachingMode.INACTIVE:
+                self.stop(fault)
 
     def _torque(self, state: RobotState, dt: float) -> Array:
         if self.mode is TeachingMode.STOPPED:
             return self._stopped_torque(state, dt)
         assert self._reference is not None
         guided = self.mode is TeachingMode.GUIDE
-        share = 0.0 if guided else self._arbitration.authority
+        share = 0.0 if guided else self._share
         damping = self.config.guide_damping if guided else self.config.yield_damping
-        setpoint = self._reference.step(state.positions, share, dt)
+        setpoint = self._reference.step(self._yielding_to(state), share, dt)
+        self._setpoint, self._stiffness = setpoint, share * self._law.stiffness
         return self._law.torque(state.positions, state.velocities, setpoint, share, damping)
+
+    @property
+    def _share(self) -> float:
+        """The robot's share: what the person's touch leaves it, and what the energy account allows."""
+        return min(self._arbitration.authority, self.account.share)
+
+    def _yielding_to(self, state: RobotState) -> Array:
+        """Say to where the reference yields: to the arm, or for a stiff servo to where the torque would move it."""
+        if self.config.output != "trajectory" or self._reference is None:
+            return state.positions
+        beyond = self._push - np.minimum(np.maximum(self._push, -self._dead_zone), self._dead_zone)
+        return self._reference.setpoint.positions + beyond / (self.config.admittance * FOLLOW_GAIN)
 
     def _stopped_torque(self, state: RobotState, dt: float) -> Array:
         if self._braking is None:
             self._braking = Braking(state, self.robot, self.config)
         setpoint = self._braking.step(state.positions, dt)
-        return self._law.soft_hold(state.positions, state.velocities, setpoint, self.config.stop_stiffness)
+        part = self.config.stop_stiffness if self.config.stop_category == "hold" else 0.0
+        self._setpoint, self._stiffness = setpoint, part * self._law.stiffness
+        if self.config.stop_category == "zero":
+            return self._zero
+        return self._law.soft_hold(state.positions, state.velocities, setpoint, part)
+
+    def _blind_torque(self, state: RobotState) -> Array:
+        """Say what to send while no usable state comes; the arm is stopped then."""
+        return self._zero if self.config.stop_category == "zero" else self._law.weight(state.positions)
 
     def _finished(self) -> bool:
         reference, state = self._reference, self._state
@@ -250,14 +284,22 @@ class SharedController:
         slow = np.abs(state.velocities).max() < SETTLED_SPEED
         return bool(near and back and slow and not self._arbitration.person_leads)
 
-    def _answer(self, torque: Array | None) -> Command:
+    def _answer(self, torque: Array | None, period: float) -> Command:
         person = self._arbitration.person_leads
         leads = self.mode in (TeachingMode.HOLD, TeachingMode.TRACK)
         control = Control.ROBOT if leads else Control.NOBODY
         if person and (leads or self.mode is TeachingMode.GUIDE):
             control = Control.PERSON
         message = "a person leads; let go and the motion goes on" if person and self._motion_id else self._message
+        setpoint = None if torque is None or self.config.output == "effort" else self._limited_setpoint(period)
         return Command(
-            torque=torque, mode=self.mode, control=control, authority=self._arbitration.authority if leads else 0.0,
+            torque=torque, setpoint=setpoint, stiffness=None if setpoint is None else self._stiffness,
+            mode=self.mode, control=control, authority=self._share if leads else 0.0,
             motion_id=self._motion_id, motion_time=self._reference.time if self._motion_id and self._reference else 0.0,
             force=self._force, message=message, finished=self._finished())
+
+    def _limited_setpoint(self, period: float) -> Setpoint | None:
+        if self._setpoint is None or self._state is None:
+            return None
+        target = self._safety.limited_target(self._setpoint.positions, self._state.positions, period)
+        return Setpoint(target, self._setpoint.velocities, self._setpoint.accelerations)

@@ -1,0 +1,54 @@
+"""Joint states beside the ones before: what jumps or freezes is not what an arm does."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from unifeed_ros.core.control.settings import ControlConfig
+from unifeed_ros.core.robot import RobotModel
+from unifeed_ros.core.types import RobotState
+
+JUMP = 0.05
+"""Way beyond what the speed limits allow that counts as a jump of the sensor [rad]."""
+MOVING = 0.05
+"""Speed of the reference at which an arm that does not move at all is taken for a frozen driver [rad/s]."""
+
+
+class StateWatch:
+    """Notice joint states that jump, and those that repeat to the last bit while the arm is driven.
+
+    Args:
+        robot: The arm.
+        config: Settings.
+    """
+
+    def __init__(self, robot: RobotModel, config: ControlConfig) -> None:
+        self._names, self._config = robot.joint_names, config
+        self._fastest = 2.0 * np.maximum(robot.pin_model.velocityLimit, robot.velocity_limits)
+        self._last: RobotState | None = None
+        self._unchanged = 0.0
+
+    def fault_of(self, state: RobotState, wanted_speed: float) -> str | None:
+        """Take in one state.
+
+        Args:
+            state: Measured state, finite and of the right length.
+            wanted_speed: Speed of the fastest joint of the reference [rad/s].
+
+        Returns:
+            What is wrong, as a clause for a person; None if nothing is.
+        """
+        last, self._last = self._last, state
+        if last is None or state.time <= last.time:
+            return None
+        dt = state.time - last.time
+        moved = state.positions - last.positions
+        beyond = np.abs(moved) - self._fastest * dt
+        if max(beyond.tolist()) > JUMP:
+            joint = int(beyond.argmax())
+            return f"the position of {self._names[joint]} jumped by {moved[joint]:.2f} rad in {1e3 * dt:.0f} ms"
+        same = not moved.any() and np.array_equal(state.velocities, last.velocities)
+        self._unchanged = self._unchanged + dt if same and wanted_speed > MOVING else 0.0
+        if self._unchanged > self._config.stale_after:
+            return f"the joint states have not changed for {self._unchanged:.2f} s although the arm is driven"
+        return None
