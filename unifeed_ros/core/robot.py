@@ -47,9 +47,9 @@ class RobotConfig:
     """Joint stiffness of the impedance controller, length n [Nm/rad]; empty: 100."""
     damping: Sequence[float] = ()
     """Joint damping of the impedance controller, length n [Nm s/rad]; empty: 2 sqrt(stiffness)."""
-    tool_stiffness: Sequence[float] = (1000.0, 1000.0, 1000.0, 50.0, 50.0, 50.0)
+    tool_stiffness: Sequence[float] = (2500.0, 2500.0, 2500.0, 150.0, 150.0, 150.0)
     """Stiffness at the tool where the impedance is there, three [N/m], then three [Nm/rad]."""
-    tool_damping: Sequence[float] = (70.0, 70.0, 70.0, 5.0, 5.0, 5.0)
+    tool_damping: Sequence[float] = (70.0, 70.0, 70.0, 4.0, 4.0, 4.0)
     """Damping at the tool where the impedance is there, three [N s/m], then three [Nm s/rad]."""
     contact_thresholds: Sequence[float] = ()
     """External torque that counts as a touch, length n [Nm]; empty: 2."""

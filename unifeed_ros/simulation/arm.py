@@ -112,6 +112,7 @@ class SimulatedArm:
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = self.robot.require_state(positions)
         self._command: Array | None = None
+        self._drive: tuple[Array, Array, Array, Array] | None = None
         self._hand: Array | None = None
         self._external = np.zeros(self.robot.n)
         self._draw_noise()
@@ -128,7 +129,30 @@ class SimulatedArm:
             ShapeError: Another number of joints.
             InputError: Not finite.
         """
+        self._drive = None
         self._command = None if torque is None else frozen_array("torque command", torque, (self.robot.n,))
+
+    def drive(self, target: ArrayLike, velocities: ArrayLike, stiffness: ArrayLike) -> None:
+        """Take a set-point for the arm's own controller, which adds gravity itself; it stays until the next.
+
+        Its damping grows with the root of the stiffness, from the robot's damping at the robot's stiffness, and is
+        never less than half of that.
+
+        Args:
+            target: Joint positions, shape (n,) [rad].
+            velocities: Joint velocities, shape (n,) [rad/s].
+            stiffness: Stiffness, shape (n,) [Nm/rad]; many times the robot's makes a position servo.
+
+        Raises:
+            ShapeError: Another number of joints.
+            InputError: Not finite.
+        """
+        n = (self.robot.n,)
+        gains = frozen_array("stiffness of a set-point", stiffness, n)
+        part = np.sqrt(np.maximum(gains, 0.0) / np.maximum(self.robot.config.stiffness, 1e-9))
+        damping = np.maximum(part, 0.5) * np.array(self.robot.config.damping)
+        self._drive = (frozen_array("set-point", target, n), frozen_array("its velocities", velocities, n), gains,
+                       damping)
 
     def push(self, wrench: ArrayLike) -> None:
         """Set the wrench of the hand at the tool; it stays until the next.
@@ -159,6 +183,10 @@ class SimulatedArm:
             self._draw_noise()
 
     def _motor_torque(self) -> Array:
+        if self._drive is not None:
+            target, velocities, gains, damping = self._drive
+            weight = self.robot.gravity(self.data.qpos)
+            return weight + gains * (target - self.data.qpos) + damping * (velocities - self.data.qvel)
         if self._command is not None and not self.robot.config.compensates_gravity:
             return self._command
         gravity = self.robot.gravity(self.data.qpos)

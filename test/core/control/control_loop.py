@@ -29,6 +29,7 @@ class Loop:
         self.arm.reset(robot.inverse_kinematics(START[robot.config.name]))
         self.detector = ContactDetector(robot.config.contact_thresholds)
         self.controller = SharedController(robot, ControlConfig(**config))
+        self.output = self.controller.config.output
         self.late = deque([None] * delay)
         self.steps, self.commands, self.tool, self.errors = 0, [], [], []
 
@@ -42,8 +43,13 @@ class Loop:
         """Advance by a millisecond."""
         if self.steps % 2 == 0:
             self._tick()
-        self.late.append(self.commands[-1].torque)
-        self.arm.command(self.late.popleft())
+        self.late.append(self.commands[-1])
+        if (command := self.late.popleft()) is None or self.output == "effort":
+            self.arm.command(None if command is None else command.torque)
+        else:
+            servo = 10.0 * np.array(self.robot.config.stiffness)
+            self.arm.drive(command.setpoint.positions, command.setpoint.velocities,
+                           servo if self.output == "trajectory" else command.stiffness)
         self.arm.step()
         self.steps += 1
 

@@ -37,7 +37,7 @@ def test_tracks_closely_in_spite_of_friction_noise_and_delay(robot, delay, seed,
     loop.run(0.3)
     tool = np.array(loop.tool[first:])
     assert np.linalg.norm(np.diff(tool, axis=0), axis=1).max() / PERIOD > 0.5
-    assert np.sqrt(np.mean(np.square(joint_errors))) < 5e-3
+    assert np.sqrt(np.mean(np.square(joint_errors))) < (5e-3 if impedance == "joint" else 15e-3)
     assert np.linalg.norm(tool_errors, axis=1).max() < 5e-3
     assert min(c.authority for c in loop.commands[first:]) == 1.0
     assert loop.commands[-1].finished
@@ -73,6 +73,36 @@ def test_yields_to_the_hand_and_comes_back_to_the_plan(robot, push, impedance):
     loop.run(4.5)
     assert loop.commands[-1].finished
     assert np.linalg.norm(loop.arm.tool_position - path[-1]) < 5e-3
+
+
+@pytest.mark.parametrize("push", [(0.0, 0.0, 20.0), (0.0, -20.0, 0.0)])
+def test_the_arm_is_back_on_the_plan_within_a_second_and_a_half(push):
+    robot = ROBOTS["panda"]
+    loop = Loop(robot)
+    path = robot.tool_states(loop.start_tracking(duration=6.0).resampled(600))[:, :3]
+    loop.run(1.5).run(0.8, push)
+    assert np.linalg.norm(path - loop.arm.tool_position, axis=1).min() > 0.1
+    loop.run(1.5)
+    assert np.linalg.norm(path - loop.arm.tool_position, axis=1).min() < 0.02
+
+
+@pytest.mark.parametrize("where", [(0.0, 20.0, 0.0), (0.0, 0.0, 20.0)])
+def test_a_hand_that_keeps_holding_feels_no_jolt(where):
+    """The hand stays where it has pushed the tool to, with 300 N/m, and feels authority come and go."""
+    loop = Loop(ROBOTS["panda"])
+    loop.start_tracking(duration=6.0)
+    loop.run(1.5)
+    loop.run(0.8, where)
+    held, felt = loop.arm.tool_position, []
+    for _ in range(3000):
+        jacobian = loop.robot.tool_jacobian(loop.arm.true_positions)[:3]
+        force = 300.0 * (held - loop.arm.tool_position) - 40.0 * jacobian @ loop.arm.true_velocities
+        felt.append(force)
+        loop.arm.push([*force, 0.0, 0.0, 0.0])
+        loop.step()
+    felt = np.array(felt)[300:]  # the hand that pushed has become one that holds
+    assert np.linalg.norm(felt, axis=1).max() > 1.0
+    assert np.linalg.norm(felt[100:] - felt[:-100], axis=1).max() < 10.0
 
 
 def test_a_weightless_arm_follows_a_pull_and_stays_when_nobody_touches(robot):
@@ -241,3 +271,64 @@ def test_same_input_same_bytes(robot):
         return np.array([c.torque for c in loop.commands]).tobytes()
 
     assert run() == run()
+
+
+@pytest.mark.parametrize(("category", "largest"), [("hold", None), ("gravity_compensation", None), ("zero", 0.0)])
+def test_a_stop_ends_as_its_category_says(category, largest):
+    robot = ROBOTS["panda"]
+    loop = Loop(robot, stop_category=category)
+    loop.start_tracking()
+    loop.run(1.0)
+    loop.controller.stop("tested")
+    loop.run(0.6)
+    assert loop.largest_torque_step <= loop.controller.config.torque_rate * PERIOD + 1e-9
+    if largest is not None:
+        np.testing.assert_array_equal(loop.commands[-1].torque, np.zeros(robot.n))
+        return
+    assert np.abs(loop.arm.true_velocities).max() < 0.1
+    place = loop.arm.tool_position
+    loop.run(0.5, (0.0, 0.0, 10.0))
+    moved = loop.arm.tool_position[2] - place[2]
+    assert moved > 0.05 if category == "gravity_compensation" else moved < 0.03
+    assert loop.commands[-1].mode is TeachingMode.STOPPED
+
+
+@pytest.mark.parametrize("limits", [
+    {"tool_speed": 0.3}, {"tool_force": 8.0}, {"workspace": (0.0, -0.3, 0.0, 1.0, 1.0, 1.0)}])
+def test_limits_at_the_tool_stop_a_motion_that_a_hand_drives_beyond_them(limits):
+    loop = Loop(ROBOTS["panda"], **limits)
+    loop.controller.guide(loop.arm.state())
+    loop.run(0.3)
+    assert loop.commands[-1].mode is TeachingMode.GUIDE
+    loop.run(0.9, (0.0, -20.0, 0.0))
+    assert loop.commands[-1].mode is TeachingMode.STOPPED
+    assert any(word in loop.commands[-1].message for word in ("m/s", " N,", "workspace"))
+    loop.run(1.0)
+    loop.controller.guide(loop.arm.state())
+    assert loop.run(0.2).commands[-1].mode is TeachingMode.GUIDE
+
+
+@pytest.mark.parametrize("limits", [{"tool_speed": 0.3}, {"workspace": (0.0, -0.2, 0.0, 1.0, 1.0, 1.0)}])
+def test_a_motion_beyond_the_limits_at_the_tool_is_refused(limits):
+    loop = Loop(ROBOTS["panda"], **limits)
+    with pytest.raises(InputError, match=r"too fast for the tool|leaves the workspace"):
+        loop.start_tracking()
+
+
+@pytest.mark.parametrize("output", ["setpoint", "trajectory"])
+def test_an_arm_with_a_controller_of_its_own_tracks_yields_and_comes_back(output):
+    """A stiff servo does not move under the hand: with "trajectory" the set-point goes where the torque moves it."""
+    robot = ROBOTS["panda"]
+    loop = Loop(robot, output=output)
+    motion = loop.start_tracking(duration=5.0)
+    loop.run(1.5)
+    place, push = loop.arm.tool_position, np.array([0.0, 0.0, 12.0])
+    assert np.abs(loop.arm.true_positions - motion.positions_at([1.5])[0]).max() < 0.05
+    loop.run(0.8, push)
+    assert loop.arm.tool_position[2] - place[2] > 0.1
+    assert loop.commands[-1].stiffness.max() < 20.0
+    loop.run(6.0)
+    assert loop.commands[-1].finished
+    assert np.linalg.norm(loop.arm.tool_position - robot.tool_pose(motion.positions[-1])[0]) < 0.01
+    targets = np.array([c.setpoint.positions for c in loop.commands])
+    assert (np.abs(np.diff(targets, axis=0)) <= 1.5 * PERIOD * robot.velocity_limits + 1e-9).all()

@@ -135,3 +135,48 @@ def test_motions_of_other_arms_beyond_limits_or_too_fast_are_refused():
         check(motion(reach=20.0, duration=200.0))
     with pytest.raises(InputError, match="fast"):
         check(motion(duration=0.5))
+
+
+def led(config, *, seconds=0.6, offset=0.3):
+    """Carry a motion out; a person leads it away from 0.5 s on, and lets go. Gives time and set-point every tick."""
+    reference, rows = Reference(REST, SampledMotion(motion()), ROBOT, config), []
+    for k in range(3000):
+        t = k * DT
+        leads = 0.5 <= t < 0.5 + seconds
+        place = reference.setpoint.positions + (offset - reference.offset if leads else 0.0)
+        share = 0.0 if leads else min(1.0, max(0.0, (t - 0.5 - seconds) / 0.5)) if t > 0.5 else 1.0
+        rows.append((t, reference.time, reference.step(place, share, DT).positions))
+    return reference, rows
+
+
+@pytest.mark.parametrize("during", ["wait", "follow", "retime"])
+@pytest.mark.parametrize("after", ["rejoin", "continue"])
+def test_every_choice_is_continuous_and_ends_at_the_goal(during, after):
+    reference, rows = led(ControlConfig(during_contact=during, after_contact=after))
+    places = np.array([row[2] for row in rows])
+    assert np.abs(np.diff(places, axis=0)).max() < 0.3 * 20.0 * DT + 2.0 * ROBOT.velocity_limits.max() * DT
+    times = np.array([row[1] for row in rows])
+    assert (np.diff(times) >= 0.0).all() and reference.at_end
+    np.testing.assert_allclose(places[-1], START + 0.5, atol=5e-3)
+
+
+def test_a_motion_that_waits_stands_still_and_one_that_re_times_makes_up_for_it():
+    ends = {}
+    for during in ("wait", "retime"):
+        _, rows = led(ControlConfig(during_contact=during))
+        times = {round(row[0], 3): row[1] for row in rows}
+        assert times[1.1] - times[0.8] < 0.01
+        ends[during] = next(row[0] for row in rows if row[1] >= 2.0)
+    assert ends["retime"] < ends["wait"] - 0.1
+
+
+def test_a_motion_that_continues_stays_aside_longer_than_one_that_rejoins():
+    aside = {}
+    for after in ("rejoin", "continue"):
+        reference = Reference(REST, SampledMotion(motion(duration=4.0)), ROBOT, ControlConfig(after_contact=after))
+        for k in range(1000):
+            leads = 250 <= k < 400
+            place = reference.setpoint.positions + (0.3 - reference.offset if leads else 0.0)
+            reference.step(place, 0.0 if leads else 1.0, DT)
+        aside[after] = np.abs(reference.offset).max()
+    assert aside["rejoin"] < 0.05 < 0.15 < aside["continue"]

@@ -61,7 +61,7 @@ def test_a_tool_that_is_too_fast_is_a_fault():
 
 def test_a_tool_that_leaves_the_workspace_is_a_fault_and_may_come_back():
     place = ROBOT.tool_pose(REST)[0]
-    box = [*(place - 0.2), *(place + [0.2, 0.2, -0.03])]  # 3 cm above the box
+    box = [*(place - 0.2), *(place + np.array([0.2, 0.2, -0.03]))]  # 3 cm above the box
     safety = SafetyFilter(ROBOT, ControlConfig(workspace=box))
     assert "0.03 m outside the workspace" in safety.fault_of(moving(np.array([0.0, 0.0, 0.1])))
     assert safety.fault_of(moving(np.array([0.0, 0.0, -0.1]))) is None

@@ -36,5 +36,5 @@ class ClockWatch:
             return f"the stamps of the joint states went back by {before - stamp:.3f} s; check the clock and the driver"
         leap = stamp - before - (now - steady)
         if leap > self._largest_step:
-            return f"the stamps of the joint states leapt ahead by {leap:.3f} s; check the clock of the driver's machine"
+            return f"the stamps of the joint states leapt ahead by {leap:.3f} s; check the driver's clock"
         return None

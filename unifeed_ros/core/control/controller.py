@@ -9,8 +9,8 @@ from unifeed_ros.core.control.command import Command
 from unifeed_ros.core.control.energy import EnergyAccount
 from unifeed_ros.core.control.impedance import make_law
 from unifeed_ros.core.control.reference import FOLLOW_GAIN, Braking, Reference
-from unifeed_ros.core.control.sampled_motion import SampledMotion, Setpoint, require_motion, require_tool
 from unifeed_ros.core.control.safety import LONGEST_TICK, SafetyFilter, all_finite
+from unifeed_ros.core.control.sampled_motion import SampledMotion, Setpoint, require_motion, require_tool
 from unifeed_ros.core.control.settings import ControlConfig
 from unifeed_ros.core.control.state_watch import StateWatch
 from unifeed_ros.core.errors import InputError
@@ -22,6 +22,8 @@ FORCE_TICKS = 10
 """Ticks between estimates of the force at the tool: only people read it."""
 SETTLED_SPEED = 0.05
 """Speed of the fastest joint below which a motion counts as ended [rad/s]."""
+GOAL_DISTANCE = 0.01
+"""Distance of the tool from the end of a motion that counts as arrived where the impedance is at the tool [m]."""
 
 
 class SharedController:
@@ -279,7 +281,11 @@ class SharedController:
         reference, state = self._reference, self._state
         if self.mode is not TeachingMode.TRACK or reference is None or state is None or not reference.at_end:
             return False
-        near = np.abs(reference.setpoint.positions - state.positions).max() < self.config.goal_tolerance
+        if self.config.impedance == "tool":  # what the tool leaves free may rest elsewhere
+            there, here = (self.robot.tool_pose(q)[0] for q in (reference.setpoint.positions, state.positions))
+            near = np.linalg.norm(there - here) < GOAL_DISTANCE
+        else:
+            near = np.abs(reference.setpoint.positions - state.positions).max() < self.config.goal_tolerance
         back = np.abs(reference.offset).max() < self.config.goal_tolerance
         slow = np.abs(state.velocities).max() < SETTLED_SPEED
         return bool(near and back and slow and not self._arbitration.person_leads)
