@@ -26,6 +26,7 @@ from unifeed_ros.core.control.silence import Silence
 from unifeed_ros.core.errors import ConfigError, UnifeedError
 from unifeed_ros.core.reward.storage import save_model
 from unifeed_ros.nodes.conversions import context_to_msg, model_from_msg
+from unifeed_ros.nodes.lifecycle import Activator
 from unifeed_ros.nodes.node import DIAGNOSTICS_PREFIX, ERROR, OK, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
@@ -103,6 +104,7 @@ class SessionNode(UnifeedNode):
         self.listen("diagnostics", self._on_diagnostics)
         self._set_mode = self.create_client(SetMode, "set_mode")
         self._stop = self.create_client(Trigger, "stop")
+        self._activator = Activator(self, "shared_control")
         self._train = self.create_client(TrainReward, "train_reward")
         self._select = self.create_client(SelectQuery, "select_query")
         self._optimize = ActionClient(self, OptimizeTrajectory, "optimize_trajectory")
@@ -225,6 +227,7 @@ class SessionNode(UnifeedNode):
             if said_now != said:
                 self._enter(LessonState.WAITING, said := said_now)
             time.sleep(0.1)
+        self._activator.activate(self._waiting)
         self._mode(SetMode.Request.HOLD)
         self._return_to_start()
         self._ready("ready: start_demonstration, run or ask")

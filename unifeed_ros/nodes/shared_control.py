@@ -1,37 +1,31 @@
-"""Carries motions out and yields to the person's hand: joint states and external torques in, torques out."""
+"""Carries motions out and yields to the person's hand: joint states and external torques in, commands out."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections import deque
 from dataclasses import dataclass
 
-import numpy as np
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
-from rclpy.action.server import ServerGoalHandle
-from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from unifeed_msgs.action import ExecuteTrajectory
 from unifeed_msgs.msg import LessonState
 from unifeed_msgs.srv import SetMode
 from unifeed_ros.core.capture.contact import ContactConfig, ContactDetector
+from unifeed_ros.core.control.clock import ClockWatch
 from unifeed_ros.core.control.command import Command
 from unifeed_ros.core.control.controller import SharedController
-from unifeed_ros.core.control.execution import ExecutionRecord
 from unifeed_ros.core.control.settings import ControlConfig
 from unifeed_ros.core.control.silence import Silence
 from unifeed_ros.core.errors import ConfigError, InputError, UnifeedError
-from unifeed_ros.core.modes import TeachingMode
-from unifeed_ros.core.types import Array, RobotState, Trajectory
-from unifeed_ros.nodes.conversions import (
-    teaching_state_to_msg,
-    trajectory_from_msg,
-    trajectory_to_msg,
-)
-from unifeed_ros.nodes.joint_stream import JointReader, JointWriter
-from unifeed_ros.nodes.node import ERROR, OK, WARN, UnifeedNode
+from unifeed_ros.core.modes import Control, TeachingMode
+from unifeed_ros.core.types import Array, RobotState
+from unifeed_ros.nodes.command_output import CommandOutput
+from unifeed_ros.nodes.conversions import teaching_state_to_msg
+from unifeed_ros.nodes.joint_stream import JointReader
+from unifeed_ros.nodes.lifecycle import ManagedNode
+from unifeed_ros.nodes.loop_figures import LoopFigures
+from unifeed_ros.nodes.motion_server import MotionServer
+from unifeed_ros.nodes.node import ERROR, OK, WARN
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.real_time import RealTimeConfig
 from unifeed_ros.nodes.spin import run_node
@@ -42,8 +36,6 @@ WATCH_PERIOD = 0.02
 """Time between two looks at what comes [s]."""
 LONGEST_GAP = 3.0 * WATCH_PERIOD
 """Time between two looks beyond which this process itself was not awake [s]."""
-FEEDBACK_PERIOD = 0.1
-"""Time between two feedback messages of the action [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,62 +56,47 @@ class LoopConfig:
                               got=f"{self.rate} Hz, {self.late} s, {self.session_timeout} s")
 
 
-@dataclass
-class _Execution:
-    """The motion under way."""
-
-    handle: ServerGoalHandle
-    record: ExecutionRecord
-    trajectory: Trajectory
-    done: Future
-    fed_back: float = 0.0
-
-
-class SharedControlNode(UnifeedNode):
-    """Answer joint states with torques; no torque goes out before the first mode is chosen."""
+class SharedControlNode(ManagedNode):
+    """Answer joint states with commands, while it is active and a mode has been chosen."""
 
     def __init__(self) -> None:
         super().__init__("shared_control")
         self.real_time = settings(self, "real_time", RealTimeConfig)
         self._robot = self.load_robot()
         self._loop = settings(self, "loop", LoopConfig)
-        self._controller = SharedController(self._robot, settings(self, "control", ControlConfig))
+        config = settings(self, "control", ControlConfig)
+        self._controller = SharedController(self._robot, config)
         self._detector = ContactDetector(
             self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig)
         )
         self._state_reader = JointReader(self._robot.joint_names)
         self._torque_reader = JointReader(self._robot.joint_names)
-        self._writer = JointWriter(self._robot.joint_names, ("effort",))
+        self._clock_watch = ClockWatch(config.clock_step)
+        self._figures = LoopFigures(self._loop.rate, self._loop.late)
         self._state: RobotState | None = None
         self._torque: Array | None = None
         self._torque_time = self._commanded = self._sent_state = 0.0
-        self._answered = 0.0
         self._state_silence, self._session_silence = Silence(LONGEST_GAP), Silence(LONGEST_GAP)
-        self._execution: _Execution | None = None
         self._session_seen = False
-        self._periods: deque[float] = deque(maxlen=20000)
-        self._commands = self._late = 0
-        self._last_mode: TeachingMode | None = None
+        self._last: Command | None = None
         self._connect()
 
     def _connect(self) -> None:
-        self._commands_topic = self.advertise("joint_command")
+        self._output = CommandOutput(self, self._robot, self._controller.config.output, 1.0 / self._loop.rate)
         self._teaching = self.advertise("teaching_state")
-        self._trajectories = self.advertise("trajectory")
+        self._motions = MotionServer(self, self._controller, self._require_ready)
         self.listen("joint_states", self._on_state, raw=True)
         self.listen("external_torques", self._on_torque, raw=True)
         self.listen("lesson_state", self._on_lesson)
         self.create_service(SetMode, "set_mode", self._on_set_mode)
         self.create_service(Trigger, "stop", self._on_stop)
-        self._server = ActionServer(
-            self, ExecuteTrajectory, "execute_trajectory", self._on_execute, goal_callback=self._on_goal,
-            cancel_callback=lambda _: CancelResponse.ACCEPT)
         self.create_timer(WATCH_PERIOD, self._watch, clock=self.steady)
         self.say(OK, "waiting for joint states")
 
     # Inputs.
 
     def _on_torque(self, data: bytes) -> None:
+        self._figures.torque()
         if self._state is None:
             return
         try:
@@ -131,18 +108,21 @@ class SharedControlNode(UnifeedNode):
         self._torque, self._torque_time = sample.torque, sample.time
 
     def _on_state(self, data: bytes) -> None:
+        now = self._figures.state()
         try:
-            self._state = self._state_reader.state(data)
+            state = self._state_reader.state(data)
         except InputError as error:
             self._fault(f"joint state: {error}")
             return
-        self._state_silence.end()
-        step = self._state.time - self._commanded
-        if step < 0.0:
-            self._commanded = self._state.time
-        if step >= 1.0 / self._loop.rate - 0.0005 or step < 0.0:
-            self._commanded = self._state.time
-            self._tick(self._state)
+        if (fault := self._clock_watch.fault_of(state.time, now)) is not None:
+            self._commanded = -1.0 / self._loop.rate  # answered at once, with the stop
+            self._fault(fault)
+        elif self._state is None or state.time > self._state.time:
+            self._state_silence.end()  # a driver that repeats itself is as silent as one that says nothing
+        self._state = state
+        if not 0.0 <= state.time - self._commanded < 1.0 / self._loop.rate - 0.0005:
+            self._commanded = state.time
+            self._tick(state)
 
     def _on_lesson(self, _: LessonState) -> None:
         self._session_seen = True
@@ -158,108 +138,56 @@ class SharedControlNode(UnifeedNode):
     def _tick(self, state: RobotState) -> None:
         fresh = 0.0 <= state.time - self._torque_time < self._controller.config.stale_after
         command = self._controller.step(state, self._torque if fresh else None)
-        if command.torque is not None:
-            self._commands_topic.publish(self._writer.write(state.time, command.torque))
-            self._count()
-        if self._execution is not None:
-            self._follow(self._execution, state, command)
-        if command.mode is not self._last_mode or not 0.0 <= state.time - self._sent_state < STATE_PERIOD:
+        if self.active and self._output.send(state.time, command):
+            self._figures.command()
+        else:
+            self._figures.pause()
+        self._motions.follow(state, command)
+        changed = self._last is None or command.mode is not self._last.mode
+        self._last = command
+        if changed or not 0.0 <= state.time - self._sent_state < STATE_PERIOD:
             self._publish_state(state, command)
 
-    def _count(self) -> None:
-        now = time.monotonic()
-        if self._commands:
-            self._periods.append(now - self._answered)
-            self._late += now - self._answered > self._loop.late
-        self._answered = now
-        self._commands += 1
-
     def _publish_state(self, state: RobotState, command: Command) -> None:
-        duration = self._execution.trajectory.duration if self._execution is not None else 0.0
-        self._teaching.publish(teaching_state_to_msg(command, state, duration, self._robot.config.base_frame))
-        self._last_mode, self._sent_state = command.mode, state.time
-        self.say(WARN if command.mode is TeachingMode.STOPPED else OK, command.message)
+        self._teaching.publish(teaching_state_to_msg(
+            command, state, self._motions.duration, self._robot.config.base_frame))
+        self._sent_state = state.time
+        message = command.message if self.active else "not active: the session, or ros2 lifecycle set, activates it"
+        self.say(WARN if command.mode is TeachingMode.STOPPED else OK, message)
 
     def _watch(self) -> None:
-        """Notice what does not come any more."""
+        """Notice what does not come any more, and who else sends commands."""
         now = time.monotonic()
         state_silence, session_silence = self._state_silence.look(now), self._session_silence.look(now)
         if self._state is None:
             return
         if not self._controller.check_fresh(state_silence):
             self.say(ERROR, "joint states stopped coming: check the robot's driver")
-            if self._execution is not None:
-                self._end(self._execution, "joint states stopped coming")
-        if self._execution is not None and self._session_seen and session_silence > self._loop.session_timeout:
+            self._motions.end("joint states stopped coming")
+        if self._motions.busy and self._session_seen and session_silence > self._loop.session_timeout:
             self._controller.stop("the session died; start it again")
+        leading = self._controller.mode not in (TeachingMode.INACTIVE, TeachingMode.STOPPED)
+        if leading and self._output.rivals() > 0:
+            self._fault(f"another node publishes on {self._output.topic}; end it, then choose a mode")
 
-    # Motions.
+    # Services and states.
 
-    def _on_goal(self, _: ExecuteTrajectory.Goal) -> GoalResponse:
-        return GoalResponse.REJECT if self._execution is not None else GoalResponse.ACCEPT
-
-    async def _on_execute(self, handle: ServerGoalHandle) -> ExecuteTrajectory.Result:
-        try:
-            execution = self._begin(handle)
-        except UnifeedError as error:
-            handle.abort()
-            return ExecuteTrajectory.Result(message=str(error))
-        return await execution.done
-
-    def _begin(self, handle: ServerGoalHandle) -> _Execution:
+    def _require_ready(self) -> RobotState:
+        """Give the newest state, where commands are permitted."""
+        if not self.active:
+            raise InputError("shared_control is not active", mend="ros2 lifecycle set shared_control configure, then "
+                             "activate; or the session's reset")
         if self._state is None:
             raise InputError("no joint state yet", mend="start the robot's driver")
-        if self._execution is not None:
-            raise InputError("a motion is under way", mend="wait for its end or cancel it")
-        trajectory = trajectory_from_msg(handle.request.trajectory, self._robot.joint_names)
-        motion_id = handle.request.motion_id or f"motion at {self._state.time:.3f} s"
-        self._controller.track(trajectory, motion_id, self._state)
-        self._trajectories.publish(trajectory_to_msg(trajectory, self._state.time, motion_id))
-        self._execution = _Execution(handle, ExecutionRecord(trajectory, self._state.time), trajectory,
-                                     Future(executor=self.executor))
-        return self._execution
-
-    def _follow(self, execution: _Execution, state: RobotState, command: Command) -> None:
-        execution.record.observe(state, command.motion_time, command.control)
-        if execution.handle.is_cancel_requested:
-            self._controller.hold(state)
-            self._end(execution, "canceled; the arm holds")
-        elif command.finished:
-            self._controller.hold(state)
-            self._end(execution, "")
-        elif command.mode is not TeachingMode.TRACK:
-            self._end(execution, command.message)
-        elif not 0.0 <= state.time - execution.fed_back < FEEDBACK_PERIOD:
-            execution.fed_back = state.time
-            execution.handle.publish_feedback(ExecuteTrajectory.Feedback(
-                motion_time=command.motion_time, authority=command.authority))
-
-    def _end(self, execution: _Execution, why: str) -> None:
-        """Finish the action: with a reason it was broken off, without one the end was reached."""
-        self._execution = None
-        result = ExecuteTrajectory.Result(success=not why, message=why or "the end of the motion was reached")
-        executed = execution.record.executed()
-        if executed is not None:
-            result.executed = trajectory_to_msg(executed)
-        result.touched, result.tracking_rms = execution.record.touched, execution.record.tracking_rms()
-        if not why:
-            execution.handle.succeed()
-        elif execution.handle.is_cancel_requested:
-            execution.handle.canceled()
-        else:
-            execution.handle.abort()
-        execution.done.set_result(result)
-
-    # Services.
+        return self._state
 
     def _on_set_mode(self, request: SetMode.Request, response: SetMode.Response) -> SetMode.Response:
         try:
-            if self._state is None:
-                raise InputError("no joint state yet", mend="start the robot's driver")
-            if self._execution is not None:
+            state = self._require_ready()
+            if self._motions.busy:
                 raise InputError("a motion is under way", mend="wait for its end, or call stop")
             guide = request.mode == SetMode.Request.GUIDE
-            (self._controller.guide if guide else self._controller.hold)(self._state)
+            (self._controller.guide if guide else self._controller.hold)(state)
         except UnifeedError as error:
             response.success, response.message = False, str(error)
             return response
@@ -268,23 +196,25 @@ class SharedControlNode(UnifeedNode):
         return response
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._controller.stop("a person or a node called stop")
+        if self.active:
+            self._controller.stop("a person or a node called stop")
         response.success, response.message = True, "stopped; set_mode or the session's reset ends it"
         return response
 
+    def deactivated(self) -> None:
+        """Send nothing more: the arm holds itself once commands stop."""
+        self._controller.deactivate()
+        self._motions.end("shared_control was deactivated; the arm holds itself")
+
     def refresh_status(self) -> None:
-        """Give the figures of the loop."""
-        periods = 1e3 * np.array(self._periods) if self._periods else np.array([np.nan])
+        """Give the figures of the loop, and who leads."""
+        last = self._last
         self.say(
-            self._status.level,
-            self._status.message,
-            rate_hz=f"{1e3 / np.mean(periods):.1f}",
-            commands=self._commands,
-            period_p50_ms=f"{np.percentile(periods, 50):.3f}",
-            period_p99_ms=f"{np.percentile(periods, 99):.3f}",
-            period_max_ms=f"{periods.max():.3f}",
-            missed_deadlines=self._late,
-        )
+            self._status.level, self._status.message, **self._figures.values(), active=self.active,
+            contact=last is not None and last.control is Control.PERSON,
+            authority=f"{last.authority if last is not None else 0.0:.2f}",
+            force_n=f"{last.force if last is not None else 0.0:.1f}",
+            energy_j=f"{self._controller.account.level:.2f}")
 
     def close(self) -> None:
         """Send nothing more: the arm holds itself once commands stop."""

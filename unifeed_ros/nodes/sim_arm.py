@@ -11,14 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rosgraph_msgs.msg import Clock as ClockMsg
+from trajectory_msgs.msg import JointTrajectory
 
+from unifeed_ros.core.capture.external import by_name
 from unifeed_ros.core.errors import ConfigError, InputError
-from unifeed_ros.nodes.conversions import stamp
+from unifeed_ros.nodes.conversions import seconds, stamp
 from unifeed_ros.nodes.joint_stream import JointReader, JointWriter
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
 from unifeed_ros.simulation.arm import SimulatedArm
+
+SERVO_PART = 10.0
+"""Stiffness of the arm as a position servo, as a part of the robot's [1]."""
+LATE = 0.010
+"""Wall-clock time from a state to its command that counts as late [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +65,7 @@ class SimArmNode(UnifeedNode):
         self._arm = SimulatedArm(self._robot, seed=self._config.seed, table_height=scene.table_height)
         self._arm.reset(self._robot.inverse_kinematics(scene.start, scene.axis))
         names = self._robot.joint_names
-        self._reader = JointReader(names)
+        self._reader, self._setpoint_reader = JointReader(names), JointReader(names)
         self._state_writer = JointWriter(names, ("position", "velocity"))
         self._torque_writer = JointWriter(names, ("effort",))
         self._stride = max(1, math.ceil(self._config.speed))
@@ -67,8 +74,8 @@ class SimArmNode(UnifeedNode):
         self._began: float | None = None
         self._slipped = 0.0
         self._sent: deque[tuple[float, float]] = deque(maxlen=500)
-        self._latencies: deque[float] = deque(maxlen=20000)
-        self._steps = 0
+        self._latencies: deque[float] = deque(maxlen=30000)
+        self._steps = self._late = 0
         self._connect()
 
     def _connect(self) -> None:
@@ -76,6 +83,8 @@ class SimArmNode(UnifeedNode):
         self._torques = self.advertise("external_torques")
         self._clock_topic = self.advertise("clock")
         self.listen("joint_command", self._on_command, raw=True)
+        self.listen("joint_setpoint", self._on_setpoint, raw=True)
+        self.listen("joint_trajectory", self._on_trajectory)
         self.listen("hand_wrench", self._on_hand)
         self.create_timer(0.001, self._tick, clock=self.steady)
 
@@ -85,8 +94,38 @@ class SimArmNode(UnifeedNode):
         except InputError as error:
             self.say(WARN, f"command refused, the arm holds: {error}")
             return
-        self._measure_latency(self._answered)
         self._arm.command(torque)
+        self._obey()
+
+    def _on_setpoint(self, data: bytes) -> None:
+        """Close the loop here, with the stiffness that came as effort."""
+        try:
+            state = self._setpoint_reader.state(data)
+            self._answered, stiffness = self._setpoint_reader.torques(data, "stiffness")
+        except InputError as error:
+            self.say(WARN, f"set-point refused, the arm holds: {error}")
+            return
+        self._arm.drive(state.positions, state.velocities, stiffness)
+        self._obey()
+
+    def _on_trajectory(self, msg: JointTrajectory) -> None:
+        """Go to the last point as a stiff servo."""
+        names, wanted = msg.joint_names, self._robot.joint_names
+        try:
+            if not msg.points:
+                raise InputError("trajectory without points")
+            point = msg.points[-1]
+            positions = by_name(names, point.positions, wanted, "positions of the trajectory")
+            velocities = by_name(names, point.velocities, wanted, "velocities of the trajectory")
+        except InputError as error:
+            self.say(WARN, f"trajectory refused, the arm holds: {error}")
+            return
+        self._answered = seconds(msg.header.stamp)
+        self._arm.drive(positions, velocities, SERVO_PART * np.array(self._robot.config.stiffness))
+        self._obey()
+
+    def _obey(self) -> None:
+        self._measure_latency(self._answered)
         self._commanded_at, self._obeying = time.monotonic(), True
 
     def _measure_latency(self, answered: float) -> None:
@@ -94,7 +133,9 @@ class SimArmNode(UnifeedNode):
         while self._sent and self._sent[0][0] < answered - 1e-6:
             self._sent.popleft()
         if self._sent and abs(self._sent[0][0] - answered) < 1e-6:
-            self._latencies.append(time.monotonic() - self._sent.popleft()[1])
+            latency = time.monotonic() - self._sent.popleft()[1]
+            self._latencies.append(latency)
+            self._late += latency > LATE
 
     def _on_hand(self, msg: WrenchStamped) -> None:
         f, t = msg.wrench.force, msg.wrench.torque
@@ -161,6 +202,7 @@ class SimArmNode(UnifeedNode):
             latency_p50_ms=f"{1e3 * np.percentile(latencies, 50):.3f}",
             latency_p99_ms=f"{1e3 * np.percentile(latencies, 99):.3f}",
             latency_max_ms=f"{1e3 * latencies.max():.3f}",
+            late=self._late,
         )
 
 

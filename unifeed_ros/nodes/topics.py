@@ -59,6 +59,8 @@ TOPICS: tuple[Topic, ...] = (
     Topic("external_torques", JOINT_STATE, SENSOR, 1000.0, ("sim_arm",), ("capture", "shared_control")),
     Topic("hand_wrench", "geometry_msgs/msg/WrenchStamped", SENSOR, 500.0, ("sim_teacher",), ("sim_arm",)),
     Topic("joint_command", JOINT_STATE, SENSOR, 500.0, ("shared_control",), ("sim_arm",)),
+    Topic("joint_setpoint", JOINT_STATE, SENSOR, 500.0, ("shared_control",), ("sim_arm",)),
+    Topic("joint_trajectory", TRAJECTORY, SENSOR, 500.0, ("shared_control",), ("sim_arm",)),
     Topic(
         "teaching_state",
         "unifeed_msgs/msg/TeachingState",
