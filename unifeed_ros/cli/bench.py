@@ -6,7 +6,7 @@ import argparse
 from importlib import import_module
 from pathlib import Path
 
-BENCHMARKS = ("reward", "planner", "context", "lesson", "reliability", "queries")
+BENCHMARKS = ("reward", "planner", "context", "lesson", "reliability", "queries", "loop")
 """Each has a module unifeed_ros.cli.bench_<name> with a function run(options), loaded only when it is asked for."""
 
 
@@ -21,6 +21,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
                        ("lesson", "whole lessons, and how far the last motion is from the best"),
                        ("reliability", "people biased in one kind of feedback: regret with weights and without"),
                        ("queries", "regret by the number of questions, chosen ones beside random ones"),
+                       ("loop", "the control loop under load, beside a bare pair that only echoes"),
                        ("all", "all of them, each with its defaults")):
         added[name] = names.add_parser(name, help=text, description=text)
         added[name].add_argument("--json", action="store_true", help="print JSON")
@@ -31,6 +32,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
     _add_lesson_options(added["lesson"])
     _add_reliability_options(added["reliability"])
     _add_query_options(added["queries"])
+    _add_loop_options(added["loop"])
     added["all"].set_defaults(parser=parser)
 
 
@@ -95,3 +97,9 @@ def _add_query_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--people", type=int, default=50, help="simulated people (default: 50)")
     parser.add_argument("--questions", type=int, default=16, help="questions to each (default: 16)")
     parser.add_argument("--demonstrated", action="store_true", help="show one motion before the questions")
+
+
+def _add_loop_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seconds", type=float, default=60.0, help="time under load [s] (default: 60)")
+    parser.add_argument("--corrections", type=int, default=8, help="corrections of the lesson before (default: 8)")
+    parser.add_argument("--out", type=Path, help="folder for logs and figures (default: out/bench-loop-<date>-<time>)")

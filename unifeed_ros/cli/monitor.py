@@ -28,17 +28,18 @@ class SessionMonitor:
         self.interactions: list[Interaction] = []
         self.diagnostics: dict[str, DiagnosticStatus] = {}
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node(name)
+        self.node = rclpy.create_node(name)
+        """For clients of the session's services."""
         self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self._node)
-        self._node.create_subscription(LessonState, "lesson_state", self._on_lesson, subscriber_qos("lesson_state"))
-        self._node.create_subscription(
+        self._executor.add_node(self.node)
+        self.node.create_subscription(LessonState, "lesson_state", self._on_lesson, subscriber_qos("lesson_state"))
+        self.node.create_subscription(
             Interaction, "interaction", self.interactions.append, subscriber_qos("interaction")
         )
-        self._node.create_subscription(
+        self.node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, publisher_qos("diagnostics")
         )
-        self._stop = self._node.create_client(Trigger, "stop")
+        self._stop = self.node.create_client(Trigger, "stop")
 
     def __enter__(self) -> SessionMonitor:
         """Use as a context manager: leaving it ends the node."""
@@ -49,7 +50,7 @@ class SessionMonitor:
     ) -> None:
         """End the node."""
         self._executor.shutdown()
-        self._node.destroy_node()
+        self.node.destroy_node()
         rclpy.try_shutdown()
 
     def spin(self, duration: float, until: Callable[[], bool] = lambda: False) -> bool:
@@ -72,7 +73,7 @@ class SessionMonitor:
     def session_is_running(self) -> bool:
         """Look for a session's nodes on this domain for a moment."""
         return self.spin(DISCOVERY_S, lambda: any(
-            self._node.count_publishers(topic) for topic in ("joint_command", "lesson_state", "joint_states")))
+            self.node.count_publishers(topic) for topic in ("joint_command", "lesson_state", "joint_states")))
 
     def stop_arm(self) -> bool:
         """Call the controller's stop; true if it answered within a second."""

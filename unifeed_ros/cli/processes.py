@@ -53,6 +53,11 @@ class NodeProcesses:
         """Give the exit status of each node that has ended."""
         return {name: code for name, p in self._processes.items() if (code := p.poll()) is not None}
 
+    @property
+    def pids(self) -> list[int]:
+        """Process ids of the nodes; each leads a session with all that it starts."""
+        return [p.pid for p in self._processes.values()]
+
     def log_tail(self, name: str, lines: int = 3) -> str:
         """Give the last lines that a node printed."""
         try:
