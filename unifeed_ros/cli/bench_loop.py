@@ -21,6 +21,7 @@ from unifeed_msgs.action import OptimizeTrajectory
 from unifeed_msgs.msg import Feedback, LessonState
 from unifeed_msgs.srv import TrainReward
 from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder, session_files
+from unifeed_ros.cli.echo_pair import COMMANDS
 from unifeed_ros.cli.monitor import SessionMonitor
 from unifeed_ros.cli.processes import NodeProcesses, node_environment
 from unifeed_ros.nodes.sim_teacher import DONE, GAVE_UP
@@ -28,6 +29,8 @@ from unifeed_ros.nodes.table import NodeSpec, SessionSetup, node_table
 
 LESSON_S = 90.0
 """Longest time of one input of the lesson [s]."""
+PAIR_S = 60.0
+"""Longest time that the bare pair may take to start [s]."""
 SETTLE_S = 3.0
 """Time that the load runs before it counts [s]."""
 TICKS = os.sysconf("SC_CLK_TCK")
@@ -97,6 +100,8 @@ def _under_load(monitor: SessionMonitor, processes: NodeProcesses, seconds: floa
     load = _Load(monitor)
     pair = {name: _start_bare(name, logs) for name in ("echo", "source")}
     try:
+        if not monitor.spin(PAIR_S, lambda: bool(monitor.node.count_publishers(COMMANDS))):
+            raise UserMistake("the bare pair did not start", mend=f"see bare_echo.log in {logs}")
         load.run(SETTLE_S)
         before = _counters(monitor)
         began = time.monotonic()
@@ -109,7 +114,8 @@ def _under_load(monitor: SessionMonitor, processes: NodeProcesses, seconds: floa
         for process in pair.values():
             process.wait(10.0)
     _require_alive(processes)
-    bare = json.loads((logs / "bare_source.log").read_text().strip().splitlines()[-1])
+    bare = next(json.loads(line) for line in (logs / "bare_source.log").read_text().splitlines()
+                if line.startswith("{"))
     figure = monitor.figure
     return {
         "command_hz": (after.commands - before.commands) / elapsed,
@@ -119,14 +125,14 @@ def _under_load(monitor: SessionMonitor, processes: NodeProcesses, seconds: floa
         "bare_worst_ms": bare["worst_ms"],
         "worst_ms": figure("sim_arm", "latency_max_ms"), "late": int(after.late - before.late),
         "states_hz": figure("shared_control", "states_hz"), "motions": load.motions, "trainings": load.trainings,
-        "plans": load.plans, "seconds": elapsed,
+        "plans": load.plans, "faults": load.faults, "seconds": elapsed,
     }
 
 
 def _start_bare(role: str, logs: Path) -> subprocess.Popen[bytes]:
     with (logs / f"bare_{role}.log").open("wb") as log:
         return subprocess.Popen([sys.executable, "-m", "unifeed_ros.cli.echo_pair", role], stdout=log,
-                                stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL, env=node_environment())
+                                stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, env=node_environment())
 
 
 @dataclass(frozen=True)
@@ -151,7 +157,8 @@ class _Load:
         self._optimize = ActionClient(monitor.node, OptimizeTrajectory, "optimize_trajectory")
         self._training = self._planning = self._asking = None
         self.motions = self.trainings = self.plans = 0
-        self._asked = 0.0
+        self._reset = monitor.node.create_client(Trigger, "reset")
+        self.faults, self._asked = 0, 0.0
 
     def run(self, seconds: float) -> None:
         """Keep everything busy for a while."""
@@ -181,6 +188,10 @@ class _Load:
             self._asked = time.monotonic()
             self._run.call_async(Trigger.Request())
             self.motions += 1
+        elif self._monitor.lesson.phase == LessonState.FAULT and time.monotonic() - self._asked > 1.0:
+            self._asked = time.monotonic()
+            self._reset.call_async(Trigger.Request())
+            self.faults += 1
 
 
 def processor_time(pids: list[int]) -> float:

@@ -31,7 +31,6 @@ class Source(Node):
 
     def __init__(self) -> None:
         super().__init__("bare_source")
-        self.real_time = RealTimeConfig()
         self._writer, self._reader = JointWriter(NAMES, ("position", "velocity")), JointReader(NAMES)
         self._sent: deque[tuple[float, float]] = deque(maxlen=500)
         self._latencies: list[float] = []
@@ -65,7 +64,7 @@ class Source(Node):
 
 
 class Echo(Node):
-    """Sends every second message back as it came."""
+    """Sends every second message back as it came; asks for the scheduling that the controller asks for."""
 
     def __init__(self) -> None:
         super().__init__("bare_echo")

@@ -82,9 +82,9 @@ def limited(force, most=30.0):
     return force if size <= most else force * (most / size)
 
 
-@pytest.mark.parametrize(("name", "seed", "track"), [
-    ("panda", 1, True), ("panda", 2, True), ("panda", 3, False), ("ur10", 4, True), ("ur10", 5, False)])
-@pytest.mark.parametrize("impedance", ["joint", "tool"])
+@pytest.mark.parametrize(("name", "seed", "track", "impedance"), [
+    ("panda", 1, True, "joint"), ("panda", 2, True, "joint"), ("panda", 3, False, "joint"), ("ur10", 4, True, "joint"),
+    ("ur10", 5, False, "joint"), ("panda", 6, True, "tool"), ("ur10", 7, False, "tool")])
 def test_any_push_sequence_extracts_at_most_the_store(name, seed, track, impedance):
     rng = np.random.default_rng(seed)
     loop = Loop(ROBOTS[name], impedance=impedance, **(INSENSITIVE if seed % 2 else {}))
