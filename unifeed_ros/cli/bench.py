@@ -6,7 +6,7 @@ import argparse
 from importlib import import_module
 from pathlib import Path
 
-BENCHMARKS = ("reward", "planner", "context", "lesson", "reliability", "queries", "loop")
+BENCHMARKS = ("reward", "planner", "context", "lesson", "reliability", "queries", "loop", "faults")
 """Each has a module unifeed_ros.cli.bench_<name> with a function run(options), loaded only when it is asked for."""
 
 
@@ -22,6 +22,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
                        ("reliability", "people biased in one kind of feedback: regret with weights and without"),
                        ("queries", "regret by the number of questions, chosen ones beside random ones"),
                        ("loop", "the control loop under load, beside a bare pair that only echoes"),
+                       ("faults", "every fault tried against the running nodes: how soon the arm stops, what is said"),
                        ("all", "all of them, each with its defaults")):
         added[name] = names.add_parser(name, help=text, description=text)
         added[name].add_argument("--json", action="store_true", help="print JSON")
@@ -33,6 +34,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
     _add_reliability_options(added["reliability"])
     _add_query_options(added["queries"])
     _add_loop_options(added["loop"])
+    _add_fault_options(added["faults"])
     added["all"].set_defaults(parser=parser)
 
 
@@ -103,3 +105,10 @@ def _add_loop_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=60.0, help="time under load [s] (default: 60)")
     parser.add_argument("--corrections", type=int, default=8, help="corrections of the lesson before (default: 8)")
     parser.add_argument("--out", type=Path, help="folder for logs and figures (default: out/bench-loop-<date>-<time>)")
+
+
+def _add_fault_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--tries", type=int, default=20, help="tries of each fault (default: 20)")
+    parser.add_argument("--fault", action="append", metavar="NAME", help="only this fault (may be repeated)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the moments at which faults begin (default: 0)")
+    parser.add_argument("--out", type=Path, help="folder for logs (default: out/bench-faults-<date>-<time>)")

@@ -1,7 +1,7 @@
-"""The wire between the simulated arm and the other nodes, with faults on demand: `python -m unifeed_ros.cli.faulty_wire`.
+"""The wire between the simulated arm and the other nodes, with faults on demand.
 
 The arm's topics are remapped to raw/<name>; this process passes them on. A word on `fault` (std_msgs/String) breaks the
-wire in one way, an empty one mends it. Each time it is mended, what happened since it broke is printed as one JSON line.
+wire in one way, an empty one mends it. Each time it is mended, what happened since it broke is printed as JSON.
 """
 
 from __future__ import annotations

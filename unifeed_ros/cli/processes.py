@@ -66,6 +66,15 @@ class NodeProcesses:
             return ""
         return "\n".join([line for line in text.splitlines() if line.strip()][-lines:])
 
+    def kill(self, name: str) -> None:
+        """End a node at once, as a crash would."""
+        self._processes[name].kill()
+        self._processes[name].wait()
+
+    def start_again(self, name: str) -> None:
+        """Start a node that has ended."""
+        self._start(next(spec for spec in self._specs if spec.executable == name))
+
     def stop(self) -> None:
         """Ask all nodes to end, the recorder last so that it has their last words, then kill what is left."""
         self._end([n for n in self._processes if n != RECORDER], NODES_GRACE_S)
@@ -73,7 +82,7 @@ class NodeProcesses:
 
     def _start(self, spec: NodeSpec) -> None:
         command = [sys.executable, "-m", f"unifeed_ros.nodes.{spec.executable}", *spec.arguments()]
-        with (self._logs / f"{spec.executable}.log").open("wb") as log:
+        with (self._logs / f"{spec.executable}.log").open("ab") as log:
             self._processes[spec.executable] = subprocess.Popen(
                 command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, start_new_session=True,
                 env=node_environment(), preexec_fn=lambda: end_with_parent(signal.SIGTERM))

@@ -21,12 +21,16 @@ class NodeSpec:
     """YAML files, later ones win."""
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
     """Single parameters, which win over the files."""
+    remaps: tuple[str, ...] = ()
+    """Names that change, as "from:=to"."""
 
     def arguments(self) -> list[str]:
         """Give the process arguments that carry the parameters."""
         words = ["--ros-args"]
         for path in self.parameter_files:
             words += ["--params-file", str(path)]
+        for remap in self.remaps:
+            words += ["-r", remap]
         for name, value in self.parameters.items():
             words += ["-p", f"{name}:={_yaml(value)}"]
         return words
