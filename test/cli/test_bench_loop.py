@@ -23,7 +23,8 @@ def test_processor_time_is_what_a_session_of_processes_uses():
 
 
 def test_figures_are_printed_by_name():
-    table = {"machine": {"cpus": 2, "load_before": 1.25, "load_after": 2.0}, "summary": {"command_hz": 499.87, "late": 3}}
+    table = {"machine": {"cpus": 2, "load_before": 1.25, "load_after": 2.0},
+             "summary": {"command_hz": 499.87, "late": 3}}
     text = describe(table)
     assert "load of the machine before 1.2" in text
     assert text.splitlines()[1].split() == ["command_hz", "499.870"] and text.splitlines()[2].split() == ["late", "3"]
