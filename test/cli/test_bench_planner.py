@@ -41,7 +41,7 @@ def test_summary_takes_medians_and_counts():
     summary = _summary(problems)
     assert (summary["median_s"], summary["own_s"], summary["solved"], summary["problems"]) == (0.2, 0.4, 2, 3)
     assert (summary["ratio_exact"], summary["ratio_fd"]) == pytest.approx((10.0, 40.0))
-    assert (summary["slsqp_exact_converged"], summary["slsqp_fd_converged"], summary["peers"]) == (1, 0, 1)
+    assert (summary["slsqp_exact_converged"], summary["slsqp_fd_converged"], summary["fd_problems"]) == (1, 0, 1)
     assert (summary["first_feasible_s"], summary["touching"], summary["failures"]) == (pytest.approx(0.02), 0, ["late"])
     assert summary["worst_violation"] == pytest.approx(0.003)
     assert "x40" in _line({"robot": "panda", "task": "table", "waypoints": 20, **summary})

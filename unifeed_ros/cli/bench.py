@@ -57,7 +57,10 @@ def _add_planner_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robot", action="append", help="only this robot (may be repeated; default: panda, ur10)")
     parser.add_argument("--task", help="only this task (default: table, laptop, cup)")
     parser.add_argument("--pairs", type=int, default=50, help="start-goal pairs a task (default: 50)")
-    parser.add_argument("--peer-pairs", type=int, default=5, help="pairs that the peers solve too (default: 5)")
+    parser.add_argument("--peer-pairs", type=int, default=5,
+                        help="pairs that the other solvers and SLSQP with exact gradients solve too (default: 5)")
+    parser.add_argument("--fd-pairs", type=int, default=1,
+                        help="of these, pairs that SLSQP with finite differences solves too (default: 1)")
     parser.add_argument("--zones", action="store_true",
                         help="a laptop's box and a person's capsule that the whole arm keeps out of; plans are checked "
                              "with the arm's meshes too")

@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
         pairs = list(itertools.islice(random_pairs(robot, scene, PlannerConfig()), options.pairs))
         for count in WAYPOINTS:
             problems = [_measure(robot, model, pair, PlannerConfig(waypoints=count, time_budget=60.0),
-                                 options.peer_limit if k < options.peer_pairs else 0.0)
+                                 options.peer_limit if k < options.peer_pairs else 0.0, rough=k < options.fd_pairs)
                         for k, pair in enumerate(pairs)]
             rows.append({"robot": name, "task": task, "waypoints": count, **_summary(problems)})
             print(_line(rows[-1]), file=sys.stderr, flush=True)
@@ -57,8 +57,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, config: PlannerConfig,
-             peer_limit: float) -> dict[str, Any]:
-    """Solve one problem with each solver, and by the peers too where they have a time limit."""
+             peer_limit: float, *, rough: bool) -> dict[str, Any]:
+    """Solve one problem with each solver, and by the peers too where they have a time limit.
+
+    Args:
+        robot: The arm.
+        model: A learned reward.
+        pair: Start and goal.
+        config: Settings of the planner.
+        peer_limit: Processor time after which SLSQP is ended; 0: neither it nor the other solvers are measured [s].
+        rough: True: SLSQP is measured with finite differences too.
+    """
     reward = model.bind(pair.scene.context())
     bounds = motion_bounds(robot, pair.scene, pair.start, pair.goal, config)
     problem = PlanningProblem(robot, reward, pair.start, pair.goal, pair.scene.duration, bounds, config)
@@ -79,9 +88,10 @@ def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, confi
                    touching=MeshScene(robot, pair.scene).touching(chosen.trajectory.positions)
                    if chosen.success and pair.scene.zones else 0)
     if peer_limit:
-        exact, rough = (solve_with_slsqp(problem, straight_line(problem), exact=e, limit=peer_limit)
-                        for e in (True, False))
-        figures.update(exact=exact, fd=rough, gap=_gap(problem, chosen, exact))
+        exact = solve_with_slsqp(problem, straight_line(problem), exact=True, limit=peer_limit)
+        figures.update(exact=exact, gap=_gap(problem, chosen, exact))
+        if rough:
+            figures["fd"] = solve_with_slsqp(problem, straight_line(problem), exact=False, limit=peer_limit)
     return figures
 
 
@@ -118,23 +128,25 @@ def _violation(robot: RobotModel, scene: Scene, problem: PlanningProblem, motion
 
 def _summary(problems: list[dict[str, Any]]) -> dict[str, Any]:
     seconds = np.array([p["seconds"] for p in problems])
-    peers = [p for p in problems if "exact" in p]
     median = float(np.median(seconds))
     summary: dict[str, Any] = {"median_s": median, "p95_s": float(np.percentile(seconds, 95))}
     for solver in SOLVERS:
         summary[f"{solver}_s"] = _median([p[f"{solver}_s"] for p in problems if f"{solver}_s" in p])
     for name in ("fd", "exact"):
+        peers = [p for p in problems if name in p]
+        summary[f"{name}_problems"] = len(peers)
         summary[f"slsqp_{name}_s"] = _median([p[name].seconds for p in peers])
         summary[f"slsqp_{name}_converged"] = sum(p[name].converged for p in peers)
         beside = [p[name].seconds / p["seconds"] for p in peers]
         summary[f"ratio_{name}"] = _median(beside)
-    gaps = [p["gap"] for p in peers]
-    return {**summary, "peers": len(peers), "floor_s": _median([p["floor"] for p in problems]),
+    gaps = [p["gap"] for p in problems if "gap" in p]
+    return {**summary, "floor_s": _median([p["floor"] for p in problems]),
             "first_feasible_s": _median([p["first"] for p in problems if np.isfinite(p["first"])]),
             "touching": sum(p["touching"] > 0 for p in problems),
             "failures": [p["message"] for p in problems if not p["solved"]],
             "worst_violation": max(p["violation"] for p in problems),
             "objective_gap_p95": float(np.percentile(gaps, 95)) if gaps else None,
+            "objective_gap_worst": max(gaps, default=None),
             "solved": sum(p["solved"] for p in problems), "problems": len(problems)}
 
 
@@ -145,10 +157,14 @@ def _median(values: list[float]) -> float | None:
 def _line(row: dict[str, Any]) -> str:
     line = (f"{row['robot']} {row['task']} {row['waypoints']}: median {row['median_s']:.3f} s, p95 {row['p95_s']:.3f} s"
             f" (floor {row['floor_s']:.3f} s), solved {row['solved']}/{row['problems']}, worst violation "
-            f"{row['worst_violation']:.1e}, touching {row['touching']}")
-    if not row["peers"]:
+            f"{row['worst_violation']:.1e}, touching {row['touching']}, first feasible "
+            f"{row['first_feasible_s'] or np.nan:.4f} s")
+    if not row["exact_problems"]:
         return line
     solvers = ", ".join(f"{solver} {row[f'{solver}_s']:.3f} s" for solver in SOLVERS)
-    peers = ", ".join(f"{name} {row[f'slsqp_{name}_s']:.1f} s (x{row[f'ratio_{name}']:.0f}, converged "
-                      f"{row[f'slsqp_{name}_converged']}/{row['peers']})" for name in ("fd", "exact"))
-    return f"{line}; {solvers}; SLSQP {peers}; gap p95 {row['objective_gap_p95']:+.4f}"
+    peers = ", ".join(
+        f"{name} {row[f'slsqp_{name}_s']:.1f} s (x{row[f'ratio_{name}']:.0f}, converged "
+        f"{row[f'slsqp_{name}_converged']}/{row[f'{name}_problems']})"
+        for name in ("fd", "exact") if row[f"{name}_problems"])
+    return (f"{line}; {solvers}; SLSQP {peers}; gap p95 {row['objective_gap_p95']:+.4f}, worst "
+            f"{row['objective_gap_worst']:+.4f}")

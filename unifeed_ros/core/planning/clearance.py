@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import coal
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from unifeed_ros.core.planning.capsules import Capsule, arm_capsules, self_pairs
@@ -159,8 +160,7 @@ def _distances(pose: ArmPose, things: list[_Thing], first: Indices, second: Indi
 def _arm_thing(capsule: Capsule) -> _Thing:
     along = capsule.ends[1] - capsule.ends[0]
     along = along / np.linalg.norm(along) if capsule.length > 1e-9 else np.array([0.0, 0.0, 1.0])
-    side = np.linalg.svd(along[None])[2][1]
-    turn = np.stack([side, np.cross(along, side), along], axis=1)
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).toRotationMatrix()
     return _Thing(capsule, coal.Capsule(capsule.radius, capsule.length), turn)
 
 

@@ -29,9 +29,9 @@ def height_constraint(robot: RobotModel, scene: Scene, arm_radius: float) -> Con
     def evaluate(pose: ArmPose, velocities: Array, near: float) -> Values:
         del velocities, near
         centres = pose.origins[joints].transpose(1, 0, 2)  # (N, P - 1, 3)
-        arms = centres[:, :, None] - pose.origins[1:].transpose(1, 0, 2)[:, None]
-        axes = pose.axes[:, None]
-        vertical = (axes[..., 0] * arms[..., 1] - axes[..., 1] * arms[..., 0]) * moved_by  # z of a x (p - o)
+        (x, y, _), (along_x, along_y, _) = pose.origins[1:].transpose(2, 1, 0)[:, :, None], pose.axes.transpose(2, 0, 1)
+        vertical = along_x[:, None] * (centres[:, :, 1, None] - y) - along_y[:, None] * (centres[:, :, 0, None] - x)
+        vertical *= moved_by  # z of a x (p - o)
         return Values(np.concatenate([centres[:, :, 2], pose.tool[:, 2:]], axis=1),
                       np.concatenate([vertical, pose.tool_jacobian[:, 2:]], axis=1))
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -13,8 +14,9 @@ from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array
 
 
-class ArmPose(NamedTuple):
-    """Frames of an arm of n joints at N postures, base frame."""
+@dataclass(frozen=True)
+class ArmPose:
+    """Frames of an arm of n joints at N postures, base frame; derivatives are computed where they are asked for."""
 
     rotations: Array
     """Orientation of the base and of each joint's body, shape (n + 1, N, 3, 3)."""
@@ -26,10 +28,18 @@ class ArmPose(NamedTuple):
     """Tool position, shape (N, 3) [m]."""
     tool_axis: Array
     """Direction of the tool's z axis, shape (N, 3)."""
-    tool_jacobian: Array
-    """Derivative of the tool's position, shape (N, 3, n) [m/rad]."""
-    axis_jacobian: Array
-    """Derivative of its z axis, shape (N, 3, n) [1/rad]."""
+    tool_body: int
+    """Joint that moves the tool."""
+
+    @cached_property
+    def tool_jacobian(self) -> Array:
+        """Derivative of the tool's position, shape (N, 3, n) [m/rad]."""
+        return self._turned(self.tool[:, None] - self.origins[1:].transpose(1, 0, 2))
+
+    @cached_property
+    def axis_jacobian(self) -> Array:
+        """Derivative of its z axis, shape (N, 3, n) [1/rad]."""
+        return self._turned(self.tool_axis[:, None])
 
     @property
     def states(self) -> Array:
@@ -40,6 +50,12 @@ class ArmPose(NamedTuple):
     def state_jacobians(self) -> Array:
         """Derivatives of the tool states, shape (N, 6, n) [m/rad, 1/rad]."""
         return np.concatenate([self.tool_jacobian, self.axis_jacobian], axis=1)
+
+    def _turned(self, arms: Array) -> Array:
+        """Multiply the joints' axes by arms, shape (N, n or 1, 3), for the joints that move the tool."""
+        turned = cross_products(self.axes, arms).transpose(0, 2, 1)
+        turned[:, :, self.tool_body:] = 0.0
+        return turned
 
     def points(self, body: int, local: Array) -> Array:
         """Compute where points of a body are.
@@ -67,14 +83,18 @@ class Kinematics:
         model = robot.pin_model
         if [int(p) for p in model.parents[1:]] != list(range(robot.n)):
             raise ConfigError("joints of the arm", expected="one chain", got=list(model.parents))
-        self._turns = []
+        axes, placements = [], []
         for k in range(1, robot.n + 1):
             subspace = np.array(model.joints[k].createData().S).reshape(6, -1)
             if subspace.shape[1] != 1 or np.abs(subspace[:3]).max() > 0:
                 raise ConfigError(f"joint {model.names[k]}", expected="revolute", got=model.joints[k].shortname())
-            axis, placement = subspace[3:, 0], model.jointPlacements[k]
-            cross, first = pin.skew(axis), placement.rotation
-            self._turns.append((first, first @ cross, first @ cross @ cross, placement.translation, axis))
+            axes.append(subspace[3:, 0])
+            placements.append(model.jointPlacements[k])
+        first = np.array([place.rotation for place in placements])[:, None]  # (n, 1, 3, 3)
+        cross = np.array([pin.skew(axis) for axis in axes])[:, None]
+        self._turns = first, first @ cross, first @ cross @ cross  # Rodrigues: of 1, of sin q and of 1 - cos q
+        self._offsets = np.array([place.translation for place in placements])[:, None, :, None]
+        self._axes = np.array(axes)[:, None, :, None]
         frame = model.frames[model.getFrameId(robot.config.tool_frame)]
         self.tool_body = int(frame.parentJoint)
         self._tool = frame.placement
@@ -87,22 +107,18 @@ class Kinematics:
             postures: Joint positions, shape (N, n) [rad].
         """
         count, n = postures.shape
-        sines, cosines = np.sin(postures).T[:, :, None, None], 1.0 - np.cos(postures).T[:, :, None, None]
-        rotations, origins = np.empty((n + 1, count, 3, 3)), np.empty((n + 1, count, 3))
-        rotations[0], origins[0] = np.eye(3), 0.0
-        axes = np.empty((count, n, 3))
-        for k, (first, second, third, offset, axis) in enumerate(self._turns):
-            rotations[k + 1] = rotations[k] @ (first + sines[k] * second + cosines[k] * third)
-            origins[k + 1] = rotations[k] @ offset + origins[k]
-            axes[:, k] = rotations[k + 1] @ axis
+        first, by_sine, by_cosine = self._turns
+        angles = postures.T[:, :, None, None]
+        local = first + np.sin(angles) * by_sine + (1.0 - np.cos(angles)) * by_cosine
+        rotations, origins = np.empty((n + 1, count, 3, 3)), np.zeros((n + 1, count, 3))
+        rotations[0] = np.eye(3)
+        for k in range(n):
+            np.matmul(rotations[k], local[k], out=rotations[k + 1])
+        np.cumsum((rotations[:-1] @ self._offsets)[..., 0], axis=0, out=origins[1:])
+        axes = np.ascontiguousarray((rotations[1:] @ self._axes)[..., 0].transpose(1, 0, 2))
         turn = rotations[self.tool_body]
-        tool, axis = turn @ self._tool.translation + origins[self.tool_body], turn @ self._tool.rotation[:, 2]
-        moving = slice(0, self.tool_body)
-        joints = origins[1:].transpose(1, 0, 2)
-        linear, angular = np.zeros((count, 3, n)), np.zeros((count, 3, n))
-        linear[:, :, moving] = cross_products(axes, tool[:, None] - joints).transpose(0, 2, 1)[:, :, moving]
-        angular[:, :, moving] = cross_products(axes, axis[:, None]).transpose(0, 2, 1)[:, :, moving]
-        return ArmPose(rotations, origins, axes, tool, axis, linear, angular)
+        return ArmPose(rotations, origins, axes, turn @ self._tool.translation + origins[self.tool_body],
+                       turn @ self._tool.rotation[:, 2], self.tool_body)
 
 
 def point_gradient(pose: ArmPose, samples: NDArray[np.intp], body: int, points: Array, directions: Array) -> Array:

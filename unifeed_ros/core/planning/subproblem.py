@@ -17,6 +17,8 @@ _TOLERANCE = 1e-5
 _MOST = 6
 """Clearances of one way-point that a model knows, the smallest ones, those of the goal on top; what it leaves out, the
 merit function sees."""
+_WIDTH = 3
+"""Steps of the number of clearances that the programmes have room for: each new number lays out patterns anew."""
 
 
 class Step(NamedTuple):
@@ -41,7 +43,8 @@ class Subproblem:
         self._problem = problem
         self._solver = make_solver(problem.qp_solver, problem.qp_constants(), _TOLERANCE)
         self._fastest = float(np.abs(problem.velocity).sum(axis=1).max())
-        self._width, self._most = 0, _MOST + sum(len(one.names) for one in problem.bounds.constraints if one.at_end)
+        self._width = _WIDTH
+        self._most = _MOST + sum(len(one.names) for one in problem.bounds.constraints if one.at_end)
 
     def solve(self, at: Evaluation, blocks: Array, radius: float, penalty: float) -> Step:
         """Find the step that the model likes best.
@@ -76,7 +79,7 @@ class Subproblem:
             reach += radius * self._fastest * np.abs(by_rate).sum(axis=2)
         clearances = np.where(at.clearances > reach, np.inf, at.clearances)
         most = min(int(np.isfinite(clearances).sum(axis=1).max()), self._most)
-        self._width = max(self._width, most)
+        self._width = max(self._width, -(-most // _WIDTH) * _WIDTH)
         picked = np.argsort(clearances, axis=1)[:, : self._width]
         clearances, jacobians = np.take_along_axis(clearances, picked, 1), at.clearance_jacobians
         return (clearances, np.take_along_axis(jacobians, picked[..., None], 1),
