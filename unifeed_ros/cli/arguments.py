@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 from unifeed_ros.core.errors import UnifeedError
+from unifeed_ros.core.recording import open_bag
 from unifeed_ros.resources import config_path
 
 SPEEDS = (0.05, 20.0)
@@ -58,6 +60,24 @@ def prepare_folder(folder: Path) -> Path:
             f"folder {folder} holds a recording already", mend="give another one with --out, or remove it"
         )
     return folder
+
+
+def open_recording(folder: Path) -> Path:
+    """Find a recording that is to be read; one that a crash left open is recovered first, and that is said on stderr.
+
+    Args:
+        folder: A bag, or the folder of a session.
+
+    Returns:
+        The bag.
+
+    Raises:
+        RecordingError: There is none, it is being recorded at this moment, or it cannot be recovered.
+    """
+    opened = open_bag(folder.expanduser())
+    for report in opened.recovered:
+        print(f"{opened.folder} was not closed: {report}", file=sys.stderr)
+    return opened.folder
 
 
 def require_speed(speed: float) -> float:

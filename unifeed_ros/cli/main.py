@@ -22,6 +22,7 @@ def build_parser() -> argparse.ArgumentParser:
     from unifeed_ros.cli.demo import add_demo_command
     from unifeed_ros.cli.doctor import add_doctor_command
     from unifeed_ros.cli.learn import add_learn_command
+    from unifeed_ros.cli.replay import add_replay_command
     from unifeed_ros.cli.up import add_up_command
 
     parser = argparse.ArgumentParser(prog="unifeed", description="Teach a robot arm by touch.")
@@ -30,6 +31,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_demo_command(commands)
     add_up_command(commands)
     add_learn_command(commands)
+    add_replay_command(commands)
     add_bag_commands(commands)
     add_bench_command(commands)
     add_doctor_command(commands)

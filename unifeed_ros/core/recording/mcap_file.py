@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -36,6 +38,8 @@ class BagFile:
         """
         self.path = path
         self._stream = path.open("xb")
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # recovery leaves a file alone that is written
         self._writer = Writer(self._stream, chunk_size=chunk_bytes, compression=COMPRESSIONS[compression],
                               enable_data_crcs=True)
         self._channels: dict[str, int] = {}
@@ -97,3 +101,15 @@ class BagFile:
         """Close without an index; what was flushed stays readable by recovery."""
         raw = self._stream.detach()
         raw.close()
+
+
+def is_being_written(path: Path) -> bool:
+    """Say whether a process holds the file open for writing at this moment; its lock ends with it, however it ends."""
+    with path.open("rb") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:  # a file system without locks
+            return False
+    return False

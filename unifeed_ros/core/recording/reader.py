@@ -21,6 +21,7 @@ from unifeed_ros.core.errors import RecordingError
 from unifeed_ros.core.recording import metadata
 from unifeed_ros.core.recording.mcap_file import HASH_KEY, MARK_RECORD
 from unifeed_ros.core.recording.records import is_closed, walk
+from unifeed_ros.core.recording.schema import MessageType
 
 RECOVER = "unifeed bag recover"
 SETTINGS_KEY = "unifeed_settings"
@@ -166,7 +167,7 @@ def bag_info(folder: Path) -> BagInfo:
     """
     paths = bag_files(folder)
     times: dict[str, list[NDArray[np.uint64]]] = defaultdict(list)
-    types: dict[str, tuple[str, str]] = {}
+    types: dict[str, MessageType] = {}
     marks: list[tuple[int, str]] = []
     for path in paths:
         index = _index(path)
@@ -181,31 +182,46 @@ def bag_info(folder: Path) -> BagInfo:
     return BagInfo(
         folder=folder, files=tuple(p.name for p in paths), size=sum(p.stat().st_size for p in paths), start=start,
         duration=(end - start) * 1e-9, message_count=sum(len(t) for t in filled),
-        topics=tuple(_topic_info(name, *types[name], joined[name]) for name in sorted(types)), marks=tuple(marks))
+        topics=tuple(_topic_info(name, types[name], joined[name]) for name in sorted(types)), marks=tuple(marks))
 
 
-def _topic_info(name: str, type_name: str, type_hash: str, times: NDArray[np.uint64]) -> TopicInfo:
+def _topic_info(name: str, kind: MessageType, times: NDArray[np.uint64]) -> TopicInfo:
     gaps = np.diff(times.astype(np.int64)) * 1e-9
     span = float(gaps.sum())
-    return TopicInfo(name=name, type=type_name, hash=type_hash, message_count=len(times),
+    return TopicInfo(name=name, type=kind.name, hash=kind.hash, message_count=len(times),
                      rate=len(gaps) / span if span > 0 else 0.0, longest_gap=float(gaps.max(initial=0.0)))
 
 
+def bag_types(folder: Path) -> dict[str, MessageType]:
+    """Read the message types as they were when the bag was recorded.
+
+    Args:
+        folder: The bag.
+
+    Returns:
+        Types by the topic's full name, for topics with messages and without.
+
+    Raises:
+        RecordingError: Not a bag, or not closed.
+    """
+    return {topic: kind for path in bag_files(folder) for topic, kind in _index(path).types.items()}
+
+
 class _Index(NamedTuple):
-    types: Mapping[str, tuple[str, str]]
+    types: Mapping[str, MessageType]
     times: Mapping[str, list[NDArray[np.uint64]]]
     marks: list[tuple[int, str]]
 
 
 def _index(path: Path) -> _Index:
-    schemas: dict[int, str] = {}
+    schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     entries: list[tuple[int, NDArray[np.uint64]]] = []
     marks: list[tuple[int, str]] = []
     for record in walk(path, {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX, Opcode.METADATA}):
         if record.opcode == Opcode.SCHEMA:
             schema = Schema.read(record.stream())
-            schemas[schema.id] = schema.name
+            schemas[schema.id] = schema
         elif record.opcode == Opcode.CHANNEL:
             channel = Channel.read(record.stream())
             channels[channel.id] = channel
@@ -219,5 +235,10 @@ def _index(path: Path) -> _Index:
     times: dict[str, list[NDArray[np.uint64]]] = defaultdict(list)
     for channel_id, found in entries:
         times[channels[channel_id].topic].append(found)
-    types = {c.topic: (schemas.get(c.schema_id, ""), c.metadata.get(HASH_KEY, "")) for c in channels.values()}
+    types = {c.topic: _type_of(c, schemas.get(c.schema_id)) for c in channels.values()}
     return _Index(types, times, marks)
+
+
+def _type_of(channel: Channel, schema: Schema | None) -> MessageType:
+    name, definition = (schema.name, schema.data.decode(errors="replace")) if schema else ("", "")
+    return MessageType(name=name, definition=definition, hash=channel.metadata.get(HASH_KEY, ""))

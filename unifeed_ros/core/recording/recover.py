@@ -17,7 +17,7 @@ from mcap.records import Channel, Message, Metadata, Schema
 
 from unifeed_ros.core.errors import RecordingError
 from unifeed_ros.core.recording import metadata
-from unifeed_ros.core.recording.mcap_file import HASH_KEY, METADATA_RECORD, QOS_KEY, BagFile
+from unifeed_ros.core.recording.mcap_file import HASH_KEY, METADATA_RECORD, QOS_KEY, BagFile, is_being_written
 from unifeed_ros.core.recording.metadata import FileSpan
 from unifeed_ros.core.recording.records import RawRecord, chunk_data, chunk_records, is_closed, walk
 from unifeed_ros.core.recording.writer import CHUNK_BYTES, DISTRO
@@ -82,11 +82,13 @@ def recover_bag(folder: Path) -> tuple[FileRecovery, ...]:
         What became of each file.
 
     Raises:
-        RecordingError: The folder holds no bag, or the disk refuses.
+        RecordingError: The folder holds no bag, it is being recorded at this moment, or the disk refuses.
     """
     files = sorted(folder.glob("*.mcap"), key=_number)
     if not files:
         raise RecordingError(f"{folder} is not a bag", expected="a folder with .mcap files")
+    if any(is_being_written(path) for path in files):
+        raise RecordingError(f"bag {folder} is being recorded at this moment", mend="end the recorder first")
     reports, spans, topics = [], [], {}
     for path in files:
         try:
