@@ -9,6 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from unifeed_ros.cli.arguments import open_recording
 from unifeed_ros.core.recording import BagInfo, bag_info, check_bag, recover_bag
 
 MEBIBYTE = 1024 * 1024
@@ -42,7 +43,7 @@ def run_info(arguments: argparse.Namespace) -> int:
     Raises:
         RecordingError: Not a bag, or not closed.
     """
-    info = bag_info(arguments.bag)
+    info = bag_info(open_recording(arguments.bag))
     if arguments.json:
         _print_json(dataclasses.asdict(info))
     else:

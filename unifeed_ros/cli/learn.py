@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.serialization import deserialize_message
 
-from unifeed_msgs.msg import Feedback, RewardModel
-from unifeed_ros.cli.arguments import UserMistake
+from unifeed_ros.cli.arguments import UserMistake, open_recording
 from unifeed_ros.core.config import from_mapping
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import FeedbackItem
@@ -25,6 +23,7 @@ from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.storage import save_model
 from unifeed_ros.core.robot import RobotConfig, RobotModel, load_robot
 from unifeed_ros.nodes.conversions import feedback_from_msg, model_from_msg
+from unifeed_ros.nodes.recorded import RecordedMessages
 from unifeed_ros.resources import config_path
 
 TAUGHT = ("/feedback", "/reward_model")
@@ -106,20 +105,21 @@ def read_taught(bags: Sequence[Path], robot: str | None = None) -> Recorded:
         UserMistake: Nothing was taught in them, or they are of different robots or sessions.
         ConfigError: The settings cannot be used.
     """
-    feedback: dict[str, bytes] = {}
-    models: dict[int, bytes] = {}
+    bags = [open_recording(bag) for bag in bags]
+    feedback: dict[str, Any] = {}
+    models: dict[int, Any] = {}
     for bag in bags:
+        recorded = RecordedMessages(bag)
         for message in read_bag(bag, topics=TAUGHT):
+            msg = recorded.read(message)
             if message.topic == "/feedback":
-                name = str(deserialize_message(message.data, Feedback).id)
-                _once(feedback, name, message.data, f"feedback {name}")
+                _once(feedback, msg.id, msg, f"feedback {msg.id}")
             else:
-                version = int(deserialize_message(message.data, RewardModel).version)
-                _once(models, version, message.data, f"model {version}")
+                _once(models, int(msg.version), msg, f"model {msg.version}")
     if not feedback:
         raise UserMistake("nothing was taught in this recording", expected="messages on /feedback",
                           got=", ".join(map(str, bags)))
-    taught = [deserialize_message(data, Feedback) for data in feedback.values()]
+    taught = list(feedback.values())
     arm, training = _settings(bags[0], robot, taught[0].robot)
     others = {msg.robot for msg in taught} - {arm.config.name}
     if others:
@@ -127,12 +127,12 @@ def read_taught(bags: Sequence[Path], robot: str | None = None) -> Recorded:
                           mend="give the robot that was taught with --robot")
     return Recorded(
         robot=arm, training=training, items={msg.id: feedback_from_msg(msg, arm.joint_names) for msg in taught},
-        models=[model_from_msg(deserialize_message(data, RewardModel)) for data in models.values()])
+        models=[model_from_msg(msg) for msg in models.values()])
 
 
-def _once(seen: dict[Any, bytes], key: Any, data: bytes, what: str) -> None:
+def _once(seen: dict[Any, Any], key: Any, msg: Any, what: str) -> None:
     """Take a message in; latched ones come again in every bag of a session, but never changed."""
-    if seen.setdefault(key, data) != data:
+    if seen.setdefault(key, msg) != msg:
         raise UserMistake(f"two recordings of different sessions: each has its own {what}",
                           mend="learn from one session at a time")
 

@@ -22,7 +22,7 @@ from unifeed_ros.core.config import load_settings
 from unifeed_ros.core.recording import BagMessage, bag_info, bag_settings, read_bag
 from unifeed_ros.core.recording.comparison import Comparison, Tolerance
 from unifeed_ros.core.robot import RobotConfig, RobotModel
-from unifeed_ros.core.scene import Scene, load_scene
+from unifeed_ros.core.scene import load_scene
 from unifeed_ros.nodes.joint_stream import JointReader
 from unifeed_ros.nodes.player import PlayClock, Player, ReplayError
 from unifeed_ros.nodes.recorded import RecordedMessages
@@ -225,7 +225,7 @@ def _play(replay: Replay, options: argparse.Namespace, logs: Path,
 
 
 def _feed(replay: Replay, player: Player, options: argparse.Namespace, progress: TextIO) -> None:
-    clock = PlayClock(options.rate, lambda duration: None if player.spin(duration) else None)
+    clock = PlayClock(options.rate, player.spin)
     topics = {f"/{name}" for node in replay.nodes for name in (*node.inputs, *node.outputs)}
     began: int | None = None
     stop = options.step

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from types import TracebackType
 from typing import Any
 
@@ -45,7 +45,7 @@ class PlayClock:
         wait: Spends wall-clock time [s].
     """
 
-    def __init__(self, rate: float, wait: Callable[[float], None]) -> None:
+    def __init__(self, rate: float, wait: Callable[[float], object]) -> None:
         self._rate, self._wait = rate, wait
         self._began: tuple[float, int] | None = None
 

@@ -1,8 +1,8 @@
 """Recorded messages as the classes that are installed now, whichever version of the definitions they were made by.
 
-A bag carries the definition of every message in it. Where its hash is that of the installed type the bytes are read as
-they are; otherwise they are read by the recorded definition, and the fields that both versions have are taken over: what
-is new keeps its default, what is gone is left out.
+A bag carries the definition of every message in it. Where its hash is that of the installed type the bytes are read
+as they are; otherwise they are read by the recorded definition, and the fields that both versions have are taken over:
+what is new keeps its default, what is gone is left out.
 """
 
 from __future__ import annotations

@@ -56,6 +56,9 @@ class RecorderConfig:
     min_free_mib: float = 500.0
     """Free disk space at which recording stops [MiB]."""
 
+    episodes: str = "interaction"
+    """Topic whose messages each end an episode: the bag goes on in a new file; empty: one file for all."""
+
     linger: float = 0.3
     """Time that it goes on after it was told to end, for the last words of the other nodes [s]; at most 1."""
 
@@ -88,6 +91,7 @@ class RecorderNode(UnifeedNode):
         self._writer = BagWriter(
             Path(self._config.folder), [_recorded(names[t.name], t) for t in topics],
             compression=self._config.compression, custom={SETTINGS_KEY: json.dumps(self._all_settings())})
+        self._episodes = next((i for i in self._inputs if i.name == names.get(self._config.episodes)), None)
         self._stopped: RecordingError | None = None
         self._weakened: dict[str, str] = {}
         self.create_timer(POLL_S, self._poll, clock=self.steady)
@@ -152,6 +156,8 @@ class RecorderNode(UnifeedNode):
             for source in self._inputs:
                 for message in source.take(BATCH):
                     self._writer.write(source.name, message.data, message.received, message.sent)
+                    if source is self._episodes:
+                        self._writer.split()
         except RecordingError as error:
             self._stop(error)
 
