@@ -1,4 +1,4 @@
-"""The commands ``unifeed bag info|check|recover BAG``."""
+"""The commands ``unifeed bag info|check|recover|export BAG``."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from unifeed_ros.cli.arguments import open_recording
+from unifeed_ros.cli.export import add_export_options, run_export
 from unifeed_ros.core.recording import BagInfo, bag_info, check_bag, recover_bag
 
 MEBIBYTE = 1024 * 1024
@@ -24,17 +25,20 @@ def add_bag_commands(subparsers: argparse._SubParsersAction[argparse.ArgumentPar
     Args:
         subparsers: What ``add_subparsers`` of the main parser gave.
     """
-    parser = subparsers.add_parser("bag", help="look into, check and recover recordings")
+    parser = subparsers.add_parser("bag", help="look into, check, recover and export recordings")
     commands = parser.add_subparsers(dest="bag_command", required=True, metavar="COMMAND")
     for name, run, text in (
         ("info", run_info, "say what a bag holds: topics, counts, rates [Hz], longest gaps [s], marks"),
         ("check", run_check, "hold a bag against every rule of rosbag2's format; status 0 only if all are kept"),
         ("recover", run_recover, "rebuild the files of a bag that was not closed, and say what was lost"),
+        ("export", run_export, "write tables (CSV, Parquet), a LeRobot dataset, or figures of what was taught"),
     ):
         command = commands.add_parser(name, help=text, description=text)
         command.add_argument("bag", type=Path, metavar="BAG", help="folder of the bag")
         command.add_argument("--json", action="store_true", help="print JSON")
         command.set_defaults(run=run)
+        if name == "export":
+            add_export_options(command)
 
 
 def run_info(arguments: argparse.Namespace) -> int:
