@@ -32,6 +32,9 @@ from unifeed_ros.nodes.spin import run_node
 CONTACT_PERIOD = 0.01
 """Time between two messages on `contact` while nothing changes [s]."""
 
+KEPT_SAMPLES = 1000
+"""Samples of a fast topic that wait for this node: a push whose samples are lost teaches something else."""
+
 
 class CaptureNode(UnifeedNode):
     """Watch the arm being touched and publish what the person showed."""
@@ -52,8 +55,8 @@ class CaptureNode(UnifeedNode):
         self._taken = {"demonstration": 0, "correction": 0}
         self._contacts = self.advertise("contact")
         self._feedback = self.advertise("feedback")
-        self.listen("joint_states", self._on_state, raw=True)
-        self.listen("external_torques", self._on_torque, raw=True)
+        self.listen("joint_states", self._on_state, raw=True, depth=KEPT_SAMPLES)
+        self.listen("external_torques", self._on_torque, raw=True, depth=KEPT_SAMPLES)
         self.listen("teaching_state", self._on_teaching)
         self.listen("trajectory", self._on_trajectory)
         self.say(OK, "watching")

@@ -38,10 +38,14 @@ class UnifeedNode(Node):
         """Create the publisher of a topic of the table."""
         return self.create_publisher(message_type(topic), find_topic(topic).name, publisher_qos(topic))
 
-    def listen(self, topic: str, callback: Callable[[Any], None], *, raw: bool = False) -> Subscription:
-        """Create the subscription of a topic of the table; raw gives the callback the bytes that were sent."""
+    def listen(self, topic: str, callback: Callable[[Any], None], *, raw: bool = False,
+               depth: int | None = None) -> Subscription:
+        """Create the subscription of a topic of the table; raw gives the callback the bytes that were sent.
+
+        A node that must see every message asks for a depth that outlasts the longest time that it gets no processor.
+        """
         return self.create_subscription(
-            message_type(topic), find_topic(topic).name, callback, subscriber_qos(topic), raw=raw)
+            message_type(topic), find_topic(topic).name, callback, subscriber_qos(topic, depth), raw=raw)
 
     def load_robot(self) -> RobotModel:
         """Build the robot model from the section "robot" of the parameters."""

@@ -1,0 +1,38 @@
+"""The node `capture` on topics."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+from rcl_interfaces.srv import GetParameters
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+
+from unifeed_msgs.msg import Contact
+from unifeed_ros.nodes.conversions import seconds, stamp
+from unifeed_ros.nodes.topics import publisher_qos, subscriber_qos
+
+from .session_helpers import session_files
+
+NAMES = [f"panda_joint{k}" for k in range(1, 8)]
+
+
+def test_samples_that_came_while_it_had_no_processor_are_not_lost(ros_node, start_node, spin_until, call):
+    capture = start_node("capture", parameter_files=session_files())
+    heard = []
+    ros_node.create_subscription(
+        Contact, "contact", lambda msg: heard.append(seconds(msg.header.stamp)), subscriber_qos("contact", depth=1000))
+    torques = ros_node.create_publisher(JointState, "external_torques", publisher_qos("external_torques"))
+    spin_until(lambda: torques.get_subscription_count() > 0 and ros_node.count_publishers("contact") > 0)
+    call(GetParameters, "capture/get_parameters")
+    capture.send(signal.SIGSTOP)
+    for k in range(200):
+        msg = JointState(name=NAMES, effort=[0.0] * 7)
+        msg.header.stamp = stamp(1.0 + 0.001 * k)
+        torques.publish(serialize_message(msg))
+    time.sleep(0.1)
+    capture.send(signal.SIGCONT)
+    spin_until(lambda: bool(heard) and heard[-1] > 1.18, 20.0, lambda: str(heard))
+    assert max(b - a for a, b in zip(heard, heard[1:], strict=False)) < 0.02, heard
+    assert heard[0] < 1.02
