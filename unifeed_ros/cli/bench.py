@@ -6,7 +6,7 @@ import argparse
 from importlib import import_module
 from pathlib import Path
 
-BENCHMARKS = ("reward", "planner", "context", "lesson", "reliability", "queries", "loop", "faults")
+BENCHMARKS = ("reward", "planner", "context", "lesson", "reliability", "queries", "loop", "faults", "recording")
 """Each has a module unifeed_ros.cli.bench_<name> with a function run(options), loaded only when it is asked for."""
 
 
@@ -23,6 +23,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
                        ("queries", "regret by the number of questions, chosen ones beside random ones"),
                        ("loop", "the control loop under load, beside a bare pair that only echoes"),
                        ("faults", "every fault tried against the running nodes: how soon the arm stops, what is said"),
+                       ("recording", "what the recorder loses, costs and withstands, beside mcap_ros2's writer"),
                        ("all", "all of them, each with its defaults")):
         added[name] = names.add_parser(name, help=text, description=text)
         added[name].add_argument("--json", action="store_true", help="print JSON")
@@ -35,6 +36,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
     _add_query_options(added["queries"])
     _add_loop_options(added["loop"])
     _add_fault_options(added["faults"])
+    _add_recording_options(added["recording"])
     added["all"].set_defaults(parser=parser)
 
 
@@ -115,3 +117,11 @@ def _add_fault_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fault", action="append", metavar="NAME", help="only this fault (may be repeated)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the moments at which faults begin (default: 0)")
     parser.add_argument("--out", type=Path, help="folder for logs (default: out/bench-faults-<date>-<time>)")
+
+
+def _add_recording_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--minutes", type=float, default=10.0, help="length of the live session (default: 10)")
+    parser.add_argument("--kills", type=int, default=100, help="recorders that are killed (default: 100)")
+    parser.add_argument("--peer-messages", type=int, default=200_000,
+                        help="most messages that the peers write too (default: 200000)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the moments of the kills (default: 0)")

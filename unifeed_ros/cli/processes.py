@@ -58,6 +58,10 @@ class NodeProcesses:
         """Process ids of the nodes; each leads a session with all that it starts."""
         return [p.pid for p in self._processes.values()]
 
+    def pid(self, name: str) -> int:
+        """Give the process id of a node."""
+        return self._processes[name].pid
+
     def log_tail(self, name: str, lines: int = 3) -> str:
         """Give the last lines that a node printed."""
         try:
