@@ -25,7 +25,6 @@ from unifeed_ros.cli.processes import NodeProcesses, node_environment
 from unifeed_ros.core.errors import UnifeedError
 from unifeed_ros.core.recording import bag_info, check_bag, read_bag, recover_bag
 from unifeed_ros.experiments.recording_bench import compare_writers, fill_disk, truncate_everywhere
-from unifeed_ros.nodes.recorded import RecordedMessages
 from unifeed_ros.nodes.table import RECORDER, SessionSetup, node_table
 
 SETTLING = 0.2
@@ -63,8 +62,7 @@ def measure_recording(options: argparse.Namespace, place: Path) -> dict[str, Any
     """
     session = record_session(60.0 * options.minutes, place)
     _tell(f"session: {session}")
-    recorded = RecordedMessages(place / "bag")
-    writers = compare_writers(place / "bag", place, recorded.read, options.peer_messages)
+    writers = compare_writers(place / "bag", place, options.peer_messages)
     _tell(f"writers: {writers}")
     kills = kill_recorders(options.kills, place, random.Random(options.seed))
     disk = fill_disk(place)

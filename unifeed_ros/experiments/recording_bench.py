@@ -17,7 +17,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from mcap.records import Schema
 from mcap.writer import Writer as BytesWriter
+from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer as PeerWriter
 
 from unifeed_ros.core.errors import UnifeedError
@@ -54,13 +56,12 @@ class WriterTimes:
     """mcap's writer, which mcap_ros2 hands its bytes to: the same without serialising."""
 
 
-def compare_writers(bag: Path, place: Path, decode: Callable[[BagMessage], Any], limit: int) -> WriterTimes:
+def compare_writers(bag: Path, place: Path, limit: int) -> WriterTimes:
     """Write a bag's messages again with this project's writer, with mcap_ros2's and with mcap's, in turns.
 
     Args:
         bag: The bag.
         place: Folder for what is written.
-        decode: Gives a message as the object that mcap_ros2 wants; its time does not count.
         limit: Most messages.
 
     Returns:
@@ -95,8 +96,12 @@ def compare_writers(bag: Path, place: Path, decode: Callable[[BagMessage], Any],
             work()
             spent[name] += time.process_time() - begun
 
+        factory = DecoderFactory()
+        decoders = {name: factory.decoder_for("cdr", Schema(id=k + 1, name=kind.name, encoding="ros2msg",
+                                                            data=kind.definition.encode()))
+                    for k, (name, kind) in enumerate(types.items())}
         source = islice(read_bag(bag), limit)
-        while batch := [(message, decode(message)) for message in islice(source, BATCH)]:
+        while batch := [(message, decoders[message.topic](message.data)) for message in islice(source, BATCH)]:
             first, last, count = first or batch[0][0].time, batch[-1][0].time, count + len(batch)
             timed("own", lambda batch=batch: write_own(batch))
             timed("peer", lambda batch=batch: write_peer(batch))
