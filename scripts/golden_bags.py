@@ -14,13 +14,15 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
+from unifeed_msgs.msg import TeachingState
 from unifeed_ros.cli.arguments import session_files
 from unifeed_ros.core.capture.contact import ContactDetector, ContactSample
 from unifeed_ros.core.capture.feedback_capture import Captured, FeedbackCapture
@@ -49,7 +51,7 @@ SLOW = ("/trajectory", "/trajectory_preview", "/feedback", "/reward_model", "/pr
 REAL = {
     "panda_push_labels_mindlab": ("panda_joint", "*.npz"),
     "panda_kinesthetic_lila": ("panda_joint", "*_pick-banana.npz"),  # two of five files: the others are large
-    "panda_kinesthetic_users_hapticskin": ("panda_joint", "*.npz"),
+    "panda_kinesthetic_users_hapticskin": ("panda_joint", "user_0[1-4].npz"),  # four of eight people
     "fr3_follower_1khz": ("fr3_joint", "*.npz")}
 """Recordings that may be copied: how their joints' names begin, and which files."""
 
@@ -66,8 +68,12 @@ class BagLog:
         self._run, self._touched, self._said = 0.0, False, (-1.0, (-1, ""))
 
     def add(self, topic: str, data: bytes) -> None:
-        """Keep one message at the present time."""
+        """Keep one serialised message at the present time."""
         self.messages.append((topic, self.time, data))
+
+    def say(self, topic: str, msg: Any) -> None:
+        """Keep one message at the present time."""
+        self.add(topic, trimmed(serialize_message(msg), type(msg)))
 
     def state(self, state: RobotState) -> None:
         """Keep a joint state; it sets the time."""
@@ -81,8 +87,6 @@ class BagLog:
 
     def teaching(self, time: float, mode: int, motion_id: str, motion_time: float, force: bool) -> None:
         """Keep what the controller does: 100 times a second, and at every change."""
-        from unifeed_msgs.msg import TeachingState
-
         key = (int(mode), motion_id)
         if key != self._said[1]:
             self._end_run(time)
@@ -90,9 +94,9 @@ class BagLog:
         self._touched |= force and mode == TeachingMode.TRACK
         if key != self._said[1] or time - self._said[0] >= 0.01 - 1e-9:
             person = mode == TeachingMode.GUIDE or force
-            self.add("/teaching_state", serialize_message(TeachingState(
+            self.say("/teaching_state", TeachingState(
                 header=header(time, self.robot.config.base_frame), mode=int(mode), motion_id=motion_id,
-                motion_time=motion_time, control=TeachingState.PERSON if person else TeachingState.ROBOT)))
+                motion_time=motion_time, control=TeachingState.PERSON if person else TeachingState.ROBOT))
             self._said = (time, key)
 
     def _end_run(self, time: float) -> None:
@@ -104,6 +108,19 @@ class BagLog:
         for topic, time, data in self.messages:
             if topic not in FAST or any(a <= time <= b for a, b in self.kept):
                 yield topic, time, data
+
+
+def trimmed(data: bytes, kind: type) -> bytes:
+    """Take off what rclpy's serialisation leaves behind the last field, and no publisher sends."""
+    whole = deserialize_message(data, kind)
+
+    def complete(length: int) -> bool:
+        try:
+            return bool(deserialize_message(data[:length], kind) == whole)
+        except RuntimeError:  # cut into a field
+            return False
+
+    return data[:bisect_left(range(len(data)), True, key=complete)]
 
 
 def record_lesson(robot_name: str, task: str, letters: str, seed: int, out: Path) -> None:
@@ -135,7 +152,7 @@ def _tap(log: BagLog, robot: RobotModel) -> None:
             super().observe_state(state)
 
         def observe_trajectory(self, motion_id: str, trajectory: Trajectory) -> None:
-            log.add("/trajectory", serialize_message(trajectory_to_msg(trajectory, log.time, motion_id)))
+            log.say("/trajectory", trajectory_to_msg(trajectory, log.time, motion_id))
             super().observe_trajectory(motion_id, trajectory)
 
         def observe_contact(self, sample: ContactSample) -> None:
@@ -155,14 +172,14 @@ def _tap(log: BagLog, robot: RobotModel) -> None:
         for item in dataset.items:
             if item.id not in given:
                 given.add(item.id)
-                log.add("/feedback", serialize_message(feedback_to_msg(item, log.time, robot.config.base_frame)))
+                log.say("/feedback", feedback_to_msg(item, log.time, robot.config.base_frame))
         result = train(dataset, *arguments, **named)
-        log.add("/reward_model", serialize_message(model_to_msg(result.ensemble, log.time)))
+        log.say("/reward_model", model_to_msg(result.ensemble, log.time))
         return result
 
     def planning(*arguments: Any, **named: Any) -> Any:
         found = plan(*arguments, **named)
-        log.add("/trajectory_preview", serialize_message(trajectory_to_msg(found.trajectory)))
+        log.say("/trajectory_preview", trajectory_to_msg(found.trajectory))
         return found
 
     rig.FeedbackCapture, rig.ContactDetector = Capture, Detector

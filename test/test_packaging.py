@@ -18,7 +18,8 @@ from unifeed_ros.resources import config_path
 
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = ElementTree.parse(ROOT / "package.xml").getroot()
-DISTRIBUTIONS = {"pinocchio": "pin", "yaml": "pyyaml", "example_robot_data": "example-robot-data"}
+DISTRIBUTIONS = {"pinocchio": "pin", "yaml": "pyyaml", "example_robot_data": "example-robot-data",
+                 "mcap_ros2": "mcap-ros2-support"}
 
 
 @pytest.fixture(scope="module")

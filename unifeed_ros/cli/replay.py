@@ -214,7 +214,6 @@ def _play(replay: Replay, options: argparse.Namespace, logs: Path,
         with Player(replay.namespace, alive) as player:
             for node in replay.nodes:
                 node.connect(player)
-                player.connect(node.name, node.inputs)
             print(f"playing {replay.bag} to {', '.join(node.name for node in replay.nodes)}", file=progress, flush=True)
             _feed(replay, player, options, progress)
             found = [(node.name, c) for node in replay.nodes for c in node.finish(player)]

@@ -22,6 +22,7 @@ from unifeed_ros.core.recording.comparison import (
 )
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.scene import Scene
+from unifeed_ros.nodes.capture import KEPT_SAMPLES
 from unifeed_ros.nodes.conversions import feedback_from_msg, model_from_msg, trajectory_from_msg
 from unifeed_ros.nodes.player import Player
 from unifeed_ros.nodes.recorded import RecordedMessages
@@ -45,7 +46,7 @@ class ReplayedNode(Protocol):
     """Topics of the table with what it said then; they must be in the recording for anything to be compared."""
 
     def connect(self, player: Player) -> None:
-        """Start to hear what it says."""
+        """Start to hear what it says, and wait until it is there."""
 
     def take(self, player: Player, topic: str, message: BagMessage) -> bool:
         """Give it its part of a recorded message; true if recorded time stood still meanwhile."""
@@ -67,8 +68,9 @@ class CaptureReplay:
         self._now: list[FeedbackItem] = []
 
     def connect(self, player: Player) -> None:
-        """Hear what is captured."""
+        """Hear what is captured, and wait for the node."""
         player.hear(self.name, "feedback", lambda msg: self._now.append(self._item(msg)))
+        player.connect(self.name, self.inputs, fast=KEPT_SAMPLES)
 
     def take(self, player: Player, topic: str, message: BagMessage) -> bool:
         """Send inputs on; keep what was captured then."""
@@ -111,8 +113,9 @@ class LearnerReplay:
         self._versions: set[int] = set()
 
     def connect(self, player: Player) -> None:
-        """Hear the models."""
+        """Hear the models, and wait for the node."""
         player.hear(self.name, "reward_model", self._models.append)
+        player.connect(self.name, self.inputs)
 
     def take(self, player: Player, topic: str, message: BagMessage) -> bool:
         """Keep feedback; at a recorded model, teach what it knew and train."""
@@ -170,7 +173,8 @@ class PlannerReplay:
         self._compared: list[Comparison] = []
 
     def connect(self, player: Player) -> None:
-        """Nothing to hear: the action answers."""
+        """Wait for the node; what it plans comes as the action's result."""
+        player.connect(self.name, self.inputs)
 
     def take(self, player: Player, topic: str, message: BagMessage) -> bool:
         """Send models on; at a recorded motion, plan."""

@@ -120,12 +120,13 @@ def truncate_everywhere(bag: Path, place: Path) -> dict[str, Any]:
         place: Folder for the copies.
 
     Returns:
-        Number of ``cuts``, how many were ``recovered`` (sound afterwards, and holding the first messages unchanged),
+        Number of ``cuts``, how many were ``recovered`` (sound afterwards, with each topic's first messages unchanged),
         and ``worst_loss_s``: the longest recorded time between the last message kept and the last one whose bytes lie
         before the cut, estimated from the file's even growth [s].
     """
     path, = bag.glob("*.mcap")
     whole, messages = path.read_bytes(), list(read_bag(bag))
+    topics = {name: [m for m in messages if m.topic == name] for name in {m.topic for m in messages}}
     recovered, worst, cuts = 0, 0.0, range(100)
     for percent in cuts:
         folder = place / "cut"
@@ -134,7 +135,9 @@ def truncate_everywhere(bag: Path, place: Path) -> dict[str, Any]:
         (folder / "cut_0.mcap").write_bytes(whole[:len(whole) * percent // 100])
         recover_bag(folder)
         kept = list(read_bag(folder))
-        recovered += kept == messages[:len(kept)] and not any(finding.problems for finding in check_bag(folder))
+        first = {name: [m for m in kept if m.topic == name] for name in topics}
+        recovered += all(first[name] == topics[name][:len(first[name])] for name in topics) and not any(
+            finding.problems for finding in check_bag(folder))
         span = (messages[-1].time - messages[0].time) * 1e-9
         reached = (kept[-1].time - messages[0].time) * 1e-9 if kept else 0.0
         worst = max(worst, percent / 100 * span - reached)

@@ -25,12 +25,14 @@ from rclpy.task import Future
 
 from unifeed_ros.core.errors import UnifeedError
 from unifeed_ros.nodes.node import message_type
-from unifeed_ros.nodes.topics import SUBSCRIBER_DEPTH, find_topic, publisher_qos, subscriber_qos
+from unifeed_ros.nodes.topics import SENSOR, SUBSCRIBER_DEPTH, find_topic, publisher_qos, subscriber_qos
 
 START_S = 60.0
 """Longest wait for a node to be there [s]."""
 TAKEN_S = 20.0
 """Longest wait for a node to have taken what was sent [s]."""
+LARGEST_BURST = 200
+"""Most messages of a fast topic on their way at once, twice: the middleware's shared memory holds some 500."""
 
 
 class ReplayError(UnifeedError):
@@ -79,6 +81,7 @@ class Player:
         self._executor.add_node(self._node)
         self._publishers: dict[tuple[str, str], Publisher] = {}
         self._barriers: dict[str, Client] = {}
+        self._room: dict[str, dict[str, int]] = {}
         self._pending: Counter[tuple[str, str]] = Counter()
         self.sent = 0
         """Messages sent."""
@@ -94,12 +97,13 @@ class Player:
         self._node.destroy_node()
         rclpy.try_shutdown()
 
-    def connect(self, node: str, inputs: Iterable[str]) -> None:
+    def connect(self, node: str, inputs: Iterable[str], fast: int = SUBSCRIBER_DEPTH[SENSOR]) -> None:
         """Wait until a node is there and hears every input.
 
         Args:
             node: Name of the node.
             inputs: Topics of the table that it is fed.
+            fast: Messages of a fast topic that it keeps until it takes them.
 
         Raises:
             ReplayError: It does not come, or ended.
@@ -107,6 +111,7 @@ class Player:
         for topic in inputs:
             self._publishers[node, topic] = self._node.create_publisher(
                 message_type(topic), self._name(node, topic), publisher_qos(topic))
+        self._room[node] = {**SUBSCRIBER_DEPTH, SENSOR: min(fast, LARGEST_BURST)}
         self._barriers[node] = self._node.create_client(GetParameters, self._name(node, f"{node}/get_parameters"))
         mine = [p for (name, _), p in self._publishers.items() if name == node]
         self._spin_until(lambda: self._barriers[node].service_is_ready()
@@ -127,7 +132,7 @@ class Player:
         self.sent += 1
         self._pending[node, topic] += 1
         kind = find_topic(topic)
-        if kind.latched or 2 * self._pending[node, topic] >= SUBSCRIBER_DEPTH[kind.qos]:
+        if kind.latched or 2 * self._pending[node, topic] >= self._room[node][kind.qos]:
             self.settle(node)
 
     def settle(self, node: str) -> None:

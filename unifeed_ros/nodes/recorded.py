@@ -112,7 +112,7 @@ def converted(old: Any, kind: type) -> Any:
     Raises:
         RecordingError: A field of the same name holds something else now.
     """
-    new = kind()
+    new = kind(check_fields=True)
     for name, field in kind.get_fields_and_field_types().items():
         if not hasattr(old, name):
             continue
