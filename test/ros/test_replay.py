@@ -63,7 +63,7 @@ def test_what_differs_is_said_and_is_the_exit_status(replay, tmp_path):
             point.positions[0] += 0.3
         return serialize_message(msg)
 
-    bag = first_seconds(tmp_path / "bag", 25.0, moved)
+    bag = first_seconds(tmp_path / "bag", 10.0, moved)
     status, output = replay(bag, "--rate", "0", "--node", "capture", "--json")
     (row,) = results(output)["comparisons"]
     assert (status, row["same"], row["what"]) == (1, False, "1-0"), output

@@ -187,7 +187,7 @@ def _parameter_files(bag: Path, options: argparse.Namespace, folder: Path) -> tu
 def _check_session(bag: Path, recorded: RecordedMessages, robot: RobotModel) -> int:
     """Refuse another robot's recording before anything starts; give the seed of the training."""
     arm, seeds = JointReader(robot.joint_names), {0}
-    for message in _first_of_each(bag, ("/joint_states", "/feedback", "/reward_model")):
+    for message in _first_of_each(bag, ("/feedback", "/reward_model", "/joint_states")):
         if message.topic == "/joint_states":
             arm.state(recorded.installed_bytes(message))  # refuses other joints by name
             continue
