@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from unifeed_msgs.msg import Feedback
+from unifeed_msgs.msg import Feedback, Interaction
 from unifeed_msgs.srv import Mark
 from unifeed_ros.core.recording import bag_info, check_bag, read_bag, recover_bag
 from unifeed_ros.nodes.topics import TOPICS, publisher_qos
@@ -167,6 +167,19 @@ def test_split_mark_status_and_best_effort_publishers(
     assert info.files == ("bag_0.mcap", "bag_1.mcap")
     assert [text for _, text in info.marks] == ["before", "mark"]
     assert_sound(tmp_path / "bag")
+
+
+@pytest.mark.parametrize(("episodes", "files"), [("interaction", 3), ("''", 1)])
+def test_every_interaction_ends_a_file(ros_node, start_recorder, wait_for_count, tmp_path, episodes, files):
+    recorder = start_recorder(topics="[interaction]", episodes=episodes)
+    publisher = ros_node.create_publisher(Interaction, "interaction", publisher_qos("interaction"))
+    for k in (1, 2):
+        publisher.publish(Interaction(index=k))
+    wait_for_count("/interaction", 2)
+    assert recorder.stop()[0] == 0
+    assert_sound(tmp_path / "bag")
+    assert bag_info(tmp_path / "bag").files == tuple(f"bag_{k}.mcap" for k in range(files))
+    assert [deserialize_message(m.data, Interaction).index for m in read_bag(tmp_path / "bag")] == [1, 2]
 
 
 def test_an_almost_full_disk_stops_the_recording_and_says_so(start_node, tmp_path):
