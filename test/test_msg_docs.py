@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "msg_docs"
 DEFINITIONS = sorted(p for kind in ("msg", "srv", "action") for p in (ROOT / "unifeed_msgs" / kind).iterdir())
 PARTS = {"msg": ("",), "srv": ("_Request", "_Response"), "action": ("_Goal", "_Result", "_Feedback")}
-UNITS = {"1", "N", "Nm", "bit", "m", "nat", "rad", "s"}
+UNITS = {"1", "N", "Nm", "bit", "m", "m/s", "nat", "rad", "rad/s^3", "s"}
 PYTHON_TYPES = {"double": "float64", "float": "float32", "boolean": "bool"}
 
 
@@ -43,12 +43,11 @@ def parts(path: Path) -> list[type]:
 
 def as_built(page_type: str) -> str:
     """Write a type as the built Python class does."""
-    array = page_type.endswith("[]")
-    name = page_type.removesuffix("[]")
+    name, array, bound = re.fullmatch(r"([\w/]+)(\[(?:<=(\d+))?\])?", page_type).groups()
     name = {v: k for k, v in PYTHON_TYPES.items()}.get(name, name)
     if "/" not in name and name[0].isupper():
         name = f"unifeed_msgs/{name}"
-    return f"sequence<{name}>" if array else name
+    return (f"sequence<{name}, {bound}>" if bound else f"sequence<{name}>") if array else name
 
 
 def test_every_interface_has_a_page_and_every_page_an_interface():

@@ -7,16 +7,20 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS is not there: source a workspace, or run make setup")
 
+from geometry_msgs.msg import Point, Vector3
 from hypothesis import given
 from hypothesis import strategies as st
 from trajectory_msgs.msg import JointTrajectory
 
-from unifeed_msgs.msg import Feedback
-from unifeed_ros.core.errors import ConfigError, InputError, ShapeError
+from unifeed_msgs.action import OptimizeTrajectory
+from unifeed_msgs.msg import Cone, Feedback, Zone
+from unifeed_ros.core.errors import ConfigError, InputError, ShapeError, UnifeedError
 from unifeed_ros.core.feedback.items import Correction, Demonstration, Preference
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
+from unifeed_ros.core.scene import Scene
 from unifeed_ros.core.types import Context, Trajectory
 from unifeed_ros.nodes.conversions import (
+    constrained,
     context_from_msg,
     context_to_msg,
     feedback_from_msg,
@@ -127,6 +131,28 @@ def test_feedback_comes_back(item):
 def test_feedback_of_no_kind_is_refused():
     with pytest.raises(InputError, match="kind of feedback"):
         feedback_from_msg(Feedback(id="x", kind=9))
+
+
+def test_a_request_adds_to_the_scene_and_what_it_leaves_empty_stays():
+    scene = Scene(task="t", start=[0.3, 0.0, 0.5], goal=[0.5, 0.0, 0.5], tool_speed=0.7, zones={
+        "kept": {"shape": "sphere", "position": [1.0, 1.0, 1.0], "size": [0.1]},
+        "moved": {"shape": "sphere", "position": [1.0, 1.0, 1.0], "size": [0.1]}})
+    same = constrained(scene, OptimizeTrajectory.Goal())
+    assert (same.zones, same.cones, same.workspace, same.tool_speed) == (scene.zones, {}, (), 0.7)
+    asked = constrained(scene, OptimizeTrajectory.Goal(
+        zones=[Zone(name="moved", shape="box", position=Point(x=2.0), size=[0.1, 0.2, 0.3], speed=0.4)],
+        cones=[Cone(name="up", direction=Vector3(z=2.0), angle=0.5)], workspace=[-1.0, -1.0, -1.0, 1.0, 1.0, 1.0]))
+    assert set(asked.zones) == {"kept", "moved"} and asked.zones["kept"] is scene.zones["kept"]
+    moved = asked.zones["moved"]
+    assert (moved.shape, moved.speed, asked.tool_speed, asked.workspace[3]) == ("box", 0.4, 0.7, 1.0)
+    np.testing.assert_array_equal(moved.position, [2.0, 0.0, 0.0])
+    np.testing.assert_array_equal(moved.size, [0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(asked.cones["up"].direction, [0.0, 0.0, 1.0])
+    for bad, text in (({"zones": [Zone(name="moved", shape="box", size=[1.0])]}, "size of a box"),
+                      ({"zones": [Zone(shape="sphere", size=[1.0])]}, "names of the request's zones"),
+                      ({"cones": [Cone(name="up", angle=0.5)]}, "direction of a cone")):
+        with pytest.raises(UnifeedError, match=text):
+            constrained(scene, OptimizeTrajectory.Goal(**bad))
 
 
 def some_model():

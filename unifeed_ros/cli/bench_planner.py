@@ -84,7 +84,8 @@ def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, confi
     figures.update(seconds=figures[f"{config.qp_solver}_s"], solved=chosen.success,
                    floor=_evaluation_time(problem, chosen) * chosen.iterations,
                    violation=_violation(robot, pair.scene, problem, chosen.trajectory, chosen.waypoints)
-                   if chosen.success else 0.0, first=chosen.first_feasible, message=chosen.message,
+                   if chosen.success else 0.0, first=chosen.first_feasible,
+                   first_share=chosen.first_feasible / chosen.seconds, message=chosen.message,
                    touching=MeshScene(robot, pair.scene).touching(chosen.trajectory.positions)
                    if chosen.success and pair.scene.zones else 0)
     if peer_limit:
@@ -142,6 +143,7 @@ def _summary(problems: list[dict[str, Any]]) -> dict[str, Any]:
     gaps = [p["gap"] for p in problems if "gap" in p]
     return {**summary, "floor_s": _median([p["floor"] for p in problems]),
             "first_feasible_s": _median([p["first"] for p in problems if np.isfinite(p["first"])]),
+            "first_feasible_share": _median([p["first_share"] for p in problems if np.isfinite(p["first_share"])]),
             "touching": sum(p["touching"] > 0 for p in problems),
             "failures": [p["message"] for p in problems if not p["solved"]],
             "worst_violation": max(p["violation"] for p in problems),
@@ -158,7 +160,7 @@ def _line(row: dict[str, Any]) -> str:
     line = (f"{row['robot']} {row['task']} {row['waypoints']}: median {row['median_s']:.3f} s, p95 {row['p95_s']:.3f} s"
             f" (floor {row['floor_s']:.3f} s), solved {row['solved']}/{row['problems']}, worst violation "
             f"{row['worst_violation']:.1e}, touching {row['touching']}, first feasible "
-            f"{row['first_feasible_s'] or np.nan:.4f} s")
+            f"{row['first_feasible_s'] or np.nan:.4f} s, {row['first_feasible_share'] or np.nan:.0%} of all")
     if not row["exact_problems"]:
         return line
     solvers = ", ".join(f"{solver} {row[f'{solver}_s']:.3f} s" for solver in SOLVERS)

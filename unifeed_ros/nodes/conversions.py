@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Point
+from geometry_msgs.msg import Point, Vector3
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from unifeed_msgs.action import OptimizeTrajectory
 from unifeed_msgs.msg import Contact, Feedback, RewardModel, TaskContext, TeachingState
 from unifeed_ros.core.capture.contact import ContactSample
 from unifeed_ros.core.capture.external import by_name
@@ -18,7 +20,9 @@ from unifeed_ros.core.control.command import Command
 from unifeed_ros.core.errors import InputError
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
+from unifeed_ros.core.scene import Scene
 from unifeed_ros.core.types import Array, Context, RobotState, Trajectory
+from unifeed_ros.core.zones import cones_from, zones_from
 
 NANOSECONDS = 1_000_000_000
 
@@ -100,6 +104,31 @@ def context_from_msg(msg: TaskContext) -> Context:
     positions = [np.array([p.x, p.y, p.z]) for p in msg.object_positions]
     return Context(task=msg.task, goal=np.array([msg.goal.x, msg.goal.y, msg.goal.z]),
                    objects=dict(zip(msg.object_names, positions, strict=True)))
+
+
+def constrained(scene: Scene, goal: OptimizeTrajectory.Goal) -> Scene:
+    """Add to a scene what a request asks of its motion; what the request leaves empty stays as it is.
+
+    Args:
+        scene: The task.
+        goal: The request.
+
+    Raises:
+        ConfigError: A zone, a cone, the workspace or the speed cannot be used; the message names it.
+        InputError: Two zones or two cones of the request have the same name, or one has none.
+    """
+    for kind, names in (("zone", [z.name for z in goal.zones]), ("cone", [c.name for c in goal.cones])):
+        if "" in names or len(set(names)) < len(names):
+            raise InputError(f"names of the request's {kind}s", expected="each its own", got=names)
+    zones = {z.name: {"shape": z.shape, "position": _components(z.position), "size": list(z.size), "speed": z.speed}
+             for z in goal.zones}
+    cones = {c.name: {"direction": _components(c.direction), "angle": c.angle} for c in goal.cones}
+    return replace(scene, zones={**scene.zones, **zones_from(zones)}, cones={**scene.cones, **cones_from(cones)},
+                   workspace=tuple(goal.workspace) or scene.workspace, tool_speed=goal.tool_speed or scene.tool_speed)
+
+
+def _components(msg: Point | Vector3) -> list[float]:
+    return [msg.x, msg.y, msg.z]
 
 
 def feedback_to_msg(item: FeedbackItem, time: float, frame: str) -> Feedback:

@@ -16,9 +16,9 @@ from unifeed_msgs.action import OptimizeTrajectory
 from unifeed_msgs.msg import RewardModel
 from unifeed_ros.core.errors import InputError, PlanningError, UnifeedError
 from unifeed_ros.core.planning.plan import Plan, PlannerConfig, PlanProgress, ToolGoal, plan_motion
-from unifeed_ros.core.reward.ensemble import ContextReward, RewardEnsemble
+from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.types import Array, Context
-from unifeed_ros.nodes.conversions import context_from_msg, model_from_msg, trajectory_to_msg
+from unifeed_ros.nodes.conversions import constrained, context_from_msg, model_from_msg, trajectory_to_msg
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
@@ -97,7 +97,11 @@ class TrajectoryOptimizerNode(UnifeedNode):
 
     def _search(self, handle: ServerGoalHandle, model: RewardEnsemble | None, context: Context) -> Plan:
         goal = handle.request
-        config = self._config.adjusted(waypoints=goal.waypoints, time_budget=goal.time_budget)
+        config = self._config.adjusted(waypoints=goal.waypoints, time_budget=goal.time_budget, goal=goal.goal_kind,
+                                       jerk_limit=goal.jerk_limit, kappa=goal.kappa)
+        if goal.goal and goal.goal_kind not in ("", "posture"):
+            raise InputError("goal_kind of a request with joint positions as its goal", expected="posture",
+                             got=goal.goal_kind, mend="leave goal empty, or goal_kind")
         start = self._robot.require_state(goal.start, "start") if goal.start else self._start
         end = self._robot.require_state(goal.goal, "goal") if goal.goal else self._goal_posture(context)
         seeds = (
@@ -105,13 +109,14 @@ class TrajectoryOptimizerNode(UnifeedNode):
             if self._last is not None and not goal.smoothest and len(self._last) == config.waypoints
             else []
         )
+        line = self._robot.tool_states(np.linspace(start, end, config.waypoints))  # where members are compared
         plan = plan_motion(
             self._robot,
-            self._bound(model, context, start, end) if model else None,
+            model.bind(context, config.kappa, line) if model else None,
             start,
-            end if goal.goal or goal.smoothest else self._fixed_goal(context, end),
+            end if goal.goal or goal.smoothest else self._fixed_goal(config, context, end),
             duration=goal.duration or (0.0 if goal.smoothest else self._scene.duration),
-            scene=self._scene,
+            scene=constrained(self._scene, goal),
             config=config,
             on_iteration=lambda progress: self._on_iteration(handle, progress),
             should_stop=lambda: handle.is_cancel_requested,
@@ -121,16 +126,11 @@ class TrajectoryOptimizerNode(UnifeedNode):
             self._last = plan.waypoints
         return plan
 
-    def _bound(self, model: RewardEnsemble, context: Context, start: Array, end: Array) -> ContextReward:
-        """Bind the model; members are compared over the straight line."""
-        line = start + np.linspace(0.0, 1.0, self._config.waypoints)[:, None] * (end - start)
-        return model.bind(context, self._config.kappa, self._robot.tool_states(line))
-
-    def _fixed_goal(self, context: Context, posture: Array) -> Array | ToolGoal | None:
-        """Fix the goal as the parameters say."""
+    def _fixed_goal(self, config: PlannerConfig, context: Context, posture: Array) -> Array | ToolGoal | None:
+        """Fix the goal as the request or the parameters say."""
         kinds = {"posture": posture, "pose": ToolGoal(position=context.goal, axis=self._scene.axis),
                  "position": ToolGoal(position=context.goal), "free": None}
-        return kinds[self._config.goal]
+        return kinds[config.goal]
 
     def _goal_posture(self, context: Context) -> Array:
         if np.allclose(context.goal, self._scene.goal):
@@ -146,7 +146,7 @@ class TrajectoryOptimizerNode(UnifeedNode):
               goal: OptimizeTrajectory.Goal) -> None:
         result.success, result.message, result.status = plan.success, plan.message, plan.status
         result.iterations, result.seconds = int(plan.iterations), float(plan.seconds)
-        result.objective = float(plan.objective)
+        result.objective, result.first_feasible_s = float(plan.objective), float(plan.first_feasible)
         if plan.success:
             result.trajectory = trajectory_to_msg(plan.trajectory)
         if model is not None:

@@ -205,7 +205,9 @@ class _Lesson:
         return result.seconds, result.accuracy
 
     def _planned(self) -> Plan:
-        reward = self._model.bind(self._scene.context()) if self._model is not None else None
+        line = self._robot.tool_states(np.linspace(self._start, self._goal, self._config.planner.waypoints))
+        kappa = self._config.planner.kappa
+        reward = None if self._model is None else self._model.bind(self._scene.context(), kappa, line)
         seeds = [] if self._last is None else [self._last]
         plan = plan_motion(self._robot, reward, self._start, self._goal, duration=self._scene.duration,
                            scene=self._scene, config=self._config.planner, seeds=seeds)

@@ -272,3 +272,6 @@ def test_settings_that_cannot_work_are_refused(setting):
 def test_adjusted_settings_keep_what_is_zero():
     assert PlannerConfig().adjusted() == PlannerConfig()
     assert PlannerConfig().adjusted(waypoints=30, time_budget=0.5) == PlannerConfig(waypoints=30, time_budget=0.5)
+    wary = PlannerConfig(kappa=1.0, jerk_limit=50.0, goal="free")
+    assert wary.adjusted() == wary
+    assert wary.adjusted(kappa=[0.0], jerk_limit=20.0, goal="pose") == PlannerConfig(jerk_limit=20.0, goal="pose")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.planning.qp import SOLVERS, SolverName
@@ -86,14 +87,20 @@ class PlannerConfig:
             if not low <= getattr(self, name) <= high:
                 raise ConfigError(name, expected=f"{low} to {high}", got=getattr(self, name))
 
-    def adjusted(self, *, waypoints: int = 0, time_budget: float = 0.0) -> PlannerConfig:
-        """Return settings with what a request asks for; zeros keep what is there.
+    def adjusted(self, *, waypoints: int = 0, time_budget: float = 0.0, jerk_limit: float = 0.0, goal: str = "",
+                 kappa: Sequence[float] = ()) -> PlannerConfig:
+        """Return settings with what a request asks for; zeros and what is empty keep what is there.
 
         Args:
             waypoints: Number of way-points.
             time_budget: Longest wall-clock time [s].
+            jerk_limit: Largest jerk of a joint [rad/s^3].
+            goal: How the task's goal is fixed.
+            kappa: Weight of the disagreement, one number [1].
 
         Raises:
             ConfigError: A value that cannot be used.
         """
-        return replace(self, waypoints=waypoints or self.waypoints, time_budget=time_budget or self.time_budget)
+        return replace(self, waypoints=waypoints or self.waypoints, time_budget=time_budget or self.time_budget,
+                       jerk_limit=jerk_limit or self.jerk_limit, goal=cast(GoalKind, goal or self.goal),
+                       kappa=kappa[0] if len(kappa) else self.kappa)
