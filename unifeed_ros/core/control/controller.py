@@ -178,6 +178,10 @@ class SharedController:
         self._sent = (torque - weight, self._state.positions)
         return self._answer(torque, period)
 
+    def report(self) -> Command:
+        """Say what the controller does, where there is no state to step with; nothing is commanded."""
+        return self._answer(None, 0.0)
+
     def _check(self, state: RobotState) -> bool:
         """Stop if there is something wrong with a state; true if torques can be computed from it."""
         fault = self._safety.fault_of(state)
