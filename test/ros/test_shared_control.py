@@ -161,8 +161,8 @@ def test_every_fault_of_the_inputs_stops_the_arm_and_is_named(start_node, ros_no
         healthy, broken_at = {key: getattr(driver, key) for key in what}, driver.ticks
         driver.break_with(**what)
         spin_until(lambda at=broken_at: driver.ticks > at + 40, 10.0)
+        spin_until(lambda: heard.teaching.mode == TeachingState.STOPPED, 10.0, lambda name=name: name)  # still broken
         driver.break_with(**(healthy if "offset" not in what else {}))
-        spin_until(lambda: heard.teaching.mode == TeachingState.STOPPED, 10.0, lambda name=name: name)
         assert heard.teaching.message.startswith("stopped: ") and word in heard.teaching.message, name
     ros_node.destroy_client(client)
 

@@ -51,7 +51,7 @@ class FaultyWire(UnifeedNode):
         self._frozen: RobotState | None = None
         self._held: deque[tuple[float, bytes]] = deque()
         self._last_torque: np.ndarray | None = None
-        self._mode, self._message = TeachingState.INACTIVE, ""
+        self._mode = TeachingState.INACTIVE
         self._clear()
         for name, pass_on in (("joint_states", self._on_state), ("external_torques", self._on_torque)):
             self._pipe(f"raw/{name}", name, name, pass_on)
@@ -72,7 +72,7 @@ class FaultyWire(UnifeedNode):
         self._visible: float | None = None
         self._stopped: float | None = None
         self._moving = 0.0
-        self._largest_step = 0.0
+        self._largest_step, self._message = 0.0, ""
 
     def _on_fault(self, msg: String) -> None:
         if self._fault and not msg.data:

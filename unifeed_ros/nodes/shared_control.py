@@ -132,6 +132,13 @@ class SharedControlNode(ManagedNode):
         if self._controller.mode is not TeachingMode.INACTIVE:
             self._controller.stop(reason)
         self.say(ERROR, reason)
+        self._announce()
+
+    def _announce(self) -> None:
+        """Tell a stop at once, also where no state comes that a tick could answer."""
+        if self._state is not None and self._last is not None and self._controller.mode is not self._last.mode:
+            self._last = self._controller.report()
+            self._publish_state(self._state, self._last)
 
     # The loop.
 
@@ -164,6 +171,7 @@ class SharedControlNode(ManagedNode):
         if not self._controller.check_fresh(state_silence):
             self.say(ERROR, "joint states stopped coming: check the robot's driver")
             self._motions.end("joint states stopped coming")
+            self._announce()
         if self._motions.busy and self._session_seen and session_silence > self._loop.session_timeout:
             self._controller.stop("the session died; start it again")
         leading = self._controller.mode not in (TeachingMode.INACTIVE, TeachingMode.STOPPED)

@@ -38,6 +38,9 @@ class SimulationConfig:
     """Seed of sensor noise and torque bias."""
     command_timeout: float = 0.1
     """Time without a command after which the arm holds in gravity compensation [s]."""
+    command_age: float = 0.03
+    """Simulated time since the state that a command answers, after which it is not obeyed any more [s]; torques that
+    late would throw the arm."""
     hand_timeout: float = 0.1
     """Simulated time without a hand wrench after which the hand counts as gone [s]."""
     patience: float = 0.004
@@ -50,7 +53,8 @@ class SimulationConfig:
         """Reject speeds and times that cannot be kept."""
         if not 0.05 <= self.speed <= 20.0:
             raise ConfigError("speed of the simulation", expected="0.05 to 20", got=self.speed)
-        if min(self.command_timeout, self.hand_timeout, self.largest_lag) <= 0.0 or self.patience < 0.0:
+        times = (self.command_timeout, self.command_age, self.hand_timeout, self.largest_lag)
+        if min(times) <= 0.0 or self.patience < 0.0:
             raise ConfigError("timeouts of the simulation", expected="> 0 s, patience >= 0 s")
 
 
@@ -168,12 +172,18 @@ class SimArmNode(UnifeedNode):
         if not self._obeying:
             return False
         if time.monotonic() - self._commanded_at > self._config.command_timeout:
-            self._arm.command(None)
-            self._obeying = False
+            self._let_go()
         return self._obeying and 0.0 < self._config.patience <= self._arm.time - self._answered
+
+    def _let_go(self) -> None:
+        """Let the arm hold itself in gravity compensation."""
+        self._arm.command(None)
+        self._obeying = False
 
     def _step(self) -> None:
         arm = self._arm
+        if self._obeying and arm.time - self._answered > self._config.command_age:
+            self._let_go()
         if self._pushed and arm.time - self._pushed_at > self._config.hand_timeout:
             arm.push(np.zeros(6))
             self._pushed = False

@@ -332,3 +332,17 @@ def test_an_arm_with_a_controller_of_its_own_tracks_yields_and_comes_back(output
     assert np.linalg.norm(loop.arm.tool_position - robot.tool_pose(motion.positions[-1])[0]) < 0.01
     targets = np.array([c.setpoint.positions for c in loop.commands])
     assert (np.abs(np.diff(targets, axis=0)) <= 1.5 * PERIOD * robot.velocity_limits + 1e-9).all()
+
+
+def test_an_arm_that_does_not_obey_is_noticed_and_not_pulled_at():
+    robot = ROBOTS["panda"]
+    loop = Loop(robot)
+    loop.start_tracking()
+    loop.run(1.0)
+    loop.arm.command(None)
+    loop.arm.command = lambda torque: None
+    loop.run(1.5)
+    stopped = next(c for c in loop.commands if c.mode is TeachingMode.STOPPED)
+    assert "check that the robot's driver obeys" in stopped.message
+    loop.run(1.0)
+    assert np.abs(loop.arm.true_velocities).max() < 0.05

@@ -178,6 +178,10 @@ class SharedController:
         self._sent = (torque - weight, self._state.positions)
         return self._answer(torque, period)
 
+    def report(self) -> Command:
+        """Say what the controller does, where there is no state to step with; nothing is commanded."""
+        return self._answer(None, 0.0)
+
     def _check(self, state: RobotState) -> bool:
         """Stop if there is something wrong with a state; true if torques can be computed from it."""
         fault = self._safety.fault_of(state)
@@ -249,7 +253,16 @@ class SharedController:
         damping = self.config.guide_damping if guided else self.config.yield_damping
         setpoint = self._reference.step(self._yielding_to(state), share, dt)
         self._setpoint, self._stiffness = setpoint, share * self._law.stiffness
+        self._check_following(state, setpoint, share)
         return self._law.torque(state.positions, state.velocities, setpoint, share, damping)
+
+    def _check_following(self, state: RobotState, setpoint: Setpoint, share: float) -> None:
+        """Stop, from the next tick on, if the arm does not go where it is sent: its driver may not obey."""
+        gaps = (setpoint.positions - state.positions).tolist()
+        worst = max(range(len(gaps)), key=lambda joint: abs(gaps[joint]))
+        if self.mode is TeachingMode.TRACK and share > 0.9 and abs(gaps[worst]) > self.config.following_error:
+            self.stop(f"{self.robot.joint_names[worst]} is {abs(gaps[worst]):.2f} rad from where it should be; check "
+                      "that the robot's driver obeys")
 
     @property
     def _share(self) -> float:

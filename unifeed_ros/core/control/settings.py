@@ -67,6 +67,8 @@ class ControlConfig:
     """Displacement while stopped beyond which the arm gives way without pulling harder [rad]."""
     start_tolerance: float = 0.1
     """Largest distance of a joint from the start of a motion [rad]."""
+    following_error: float = 0.2
+    """Distance of a joint from the reference that stops a motion while the robot leads [rad]."""
     goal_tolerance: float = 0.02
     """Largest distance of a joint from the end of a motion that counts as arrived [rad]."""
     torque_rate: float = 1000.0
