@@ -6,7 +6,8 @@ import argparse
 from importlib import import_module
 from pathlib import Path
 
-BENCHMARKS = ("capture", "reward", "planner", "context", "lesson", "reliability", "queries", "loop", "faults", "recording")
+BENCHMARKS = ("capture", "reward", "planner", "context", "lesson", "reliability", "queries", "loop", "faults",
+              "recording")
 """Each has a module unifeed_ros.cli.bench_<name> with a function run(options), loaded only when it is asked for."""
 
 
