@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from unifeed_ros.core.capture.contact import ContactConfig, ContactDetector
+from unifeed_ros.core.capture.contact import ContactDetector
+from unifeed_ros.core.capture.contact_config import ContactConfig
 from unifeed_ros.core.capture.demonstration import DemonstrationConfig, extract_demonstration
 from unifeed_ros.core.capture.motion import MotionConfig, moving_segments, ordered_samples
 from unifeed_ros.core.capture.touches import Touch, inside_any, judge_recording
@@ -25,8 +26,8 @@ from unifeed_ros.core.types import Array
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = (ROOT.parent / "shared" / "data", ROOT / "test" / "data" / "recordings")
 
-PANDA_THRESHOLDS = (2.0, 2.0, 2.0, 2.0, 1.5, 1.5, 1.0)
-"""Touch of a Panda at rest that also shows on link 2, by joint [Nm]."""
+PANDA_THRESHOLDS = (3.0, 3.0, 3.0, 2.5, 1.5, 1.5, 1.0)
+"""Those of config/robots/panda.yaml, by joint [Nm]."""
 JACO_THRESHOLDS = (8.0, 8.0, 8.0, 2.0, 1.0, 1.0, 1.0)
 """Thresholds that the JACO2 study itself used, by joint [Nm]; set for a moving arm."""
 WRENCH_THRESHOLDS = (5.0, 5.0, 5.0, 1.0, 1.0, 1.0)
@@ -36,7 +37,8 @@ TAIL = 0.3
 PRESSES = ("a4", "a5", "b6", "b8", "c2", "c3", "c6", "d3", "f2", "f3", "f4")
 FREE = ("run_162545", "run_162853")
 LILA = ("il_pick-banana", "il_pick-cereal", "il_pour-cereal", "lila_pick-banana", "lila_pour-cereal")
-JACO_CONFIG = ContactConfig(moving_allowance=0.0)
+JACO_CONFIG = ContactConfig(moving_allowance=0.0, share=1.0, doubt_factor=0.0)
+WRENCH_CONFIG = {"share": 1.0}
 
 
 @dataclass(frozen=True)
@@ -61,8 +63,8 @@ def find(folder: str, name: str) -> Path | None:
 def press_figures(data: Mapping[str, Any], thresholds: tuple[float, ...] = PANDA_THRESHOLDS) -> PressFigures:
     """Compare touches with the labels of a glove."""
     times, label = data["t"] - data["t"][0], data["label"].astype(bool)
-    samples, touches = judge_recording(ContactDetector(thresholds), times, data["tau_ext"], data["dq"])
-    found = np.array([s.in_contact for s in samples])
+    _, touches = judge_recording(ContactDetector(thresholds), times, data["tau_ext"], data["dq"])
+    found = inside_any(times, touches)
     edges = np.diff(np.concatenate([[0], label.astype(int), [0]]))
     presses = list(zip(times[np.flatnonzero(edges == 1)], times[np.flatnonzero(edges == -1) - 1], strict=True))
 
@@ -142,7 +144,7 @@ def read_wrench(path: Path) -> tuple[Array, Array]:
 
 def wrench_touches(times: Array, wrench: Array, **settings: float) -> tuple[Touch, ...]:
     """Find the touches on a wrist sensor of an arm at rest."""
-    detector = ContactDetector(WRENCH_THRESHOLDS, ContactConfig(**settings))
+    detector = ContactDetector(WRENCH_THRESHOLDS, ContactConfig(**{**WRENCH_CONFIG, **settings}))
     return judge_recording(detector, times, wrench, np.zeros_like(wrench))[1]
 
 
@@ -220,7 +222,7 @@ def _wrench(draw: Callable[..., None]) -> dict[str, Any]:
         if path is None:
             continue
         times, wrench = read_wrench(path)
-        for label, settings in (("", {}), (" taps too", {"on_delay": 0.002})):
+        for label, settings in (("", {}), (" taps too", {"on_delay": 0.002, "smooth_time": 0.002})):
             touches = wrench_touches(times, wrench, **settings)
             rows[name + label] = {"touches": [round(t.onset, 2) for t in touches if t.meant],
                                   "collisions": [round(t.onset, 2) for t in touches if not t.meant]}
@@ -249,16 +251,21 @@ class Figures:
 
     def save(self, data_set: str) -> None:
         """Save the panels so far as DATA_SET.png and forget them."""
+        if self._folder is not None:
+            self.save_as(self._folder / f"capture_{data_set}.png")
+
+    def save_as(self, path: Path) -> None:
+        """Save the panels so far as one picture and forget them."""
         panels, self._panels = self._panels, []
-        if self._folder is None or not panels:
+        if not panels:
             return
         from matplotlib.figure import Figure
 
         figure = Figure(figsize=(12, 2.2 * len(panels)), layout="constrained")
         for axes, panel in zip(np.ravel(figure.subplots(len(panels), squeeze=False)), panels, strict=True):
             _panel(axes, *panel)
-        self._folder.mkdir(parents=True, exist_ok=True)
-        figure.savefig(self._folder / f"capture_{data_set}.png", dpi=70)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=70)
 
 
 def _panel(axes: Any, name: str, times: Array, values: Array, thresholds: tuple[float, ...], velocities: Array | None,
@@ -283,11 +290,28 @@ def _print_table(title: str, rows: dict[str, Any]) -> None:
         print(f"  {name:<24} {', '.join(cells)}")
 
 
+def draw_for_documentation(path: Path) -> None:
+    """Draw two recordings of presses and one of free motion, whose licences allow it, into one picture."""
+    figures = Figures(path.parent)
+    for name, data in _each("panda_push_labels_mindlab", ("b8", "f2")):
+        figures(f"Panda, {name}: presses on link {dict(b=6, f=2)[name[0]]} (grey: the glove's label, green: found)",
+                data["t"] - data["t"][0], data["tau_ext"], PANDA_THRESHOLDS, data["dq"], label=data["label"])
+    for name, data in _each("fr3_follower_1khz", ("run_162853",)):
+        figures(f"FR3, {name}: free motion, nobody touches", (data["t_ns"] - data["t_ns"][0]) * 1e-9, data["tau_ext"],
+                PANDA_THRESHOLDS, data["dq"])
+    figures.save_as(path)
+
+
 def main() -> int:
     """Print the table of every data set that is there."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, help="folder for figures and capture_recordings.json")
-    out = parser.parse_args().out
+    parser.add_argument("--picture", type=Path, help="draw the picture of docs/capture.md into this file, nothing else")
+    options = parser.parse_args()
+    if options.picture is not None:
+        draw_for_documentation(options.picture)
+        return 0
+    out = options.out
     figures, tables = Figures(out), {}
     for data_set, examine in DATA_SETS.items():
         try:

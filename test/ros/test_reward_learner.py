@@ -11,8 +11,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from session_helpers import session_files
 
-from unifeed_msgs.msg import Feedback, RewardStatus
-from unifeed_msgs.srv import ListFeedback, SelectQuery, TrainReward
+from unifeed_msgs.msg import Feedback, RewardStatus, TrackedRun
+from unifeed_msgs.srv import ListFeedback, RankMotions, SelectQuery, TrainReward, UndoFeedback
 from unifeed_ros.core.feedback.items import Demonstration
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
@@ -87,3 +87,33 @@ def test_questions_are_chosen_while_the_node_answers(taught_learner, ros_node, s
     query = futures[0].result()
     assert query.success and len(query.query.options) == 2 and "3000 motions" in query.message, query.message
     assert 0.0 < query.query.information <= 1.0
+
+
+def test_any_past_motions_can_be_ranked_and_a_ranking_taken_back(start_node, ros_node, spin_until, call):
+    files = session_files()
+    start_node("reward_learner", {"training.steps": 20}, parameter_files=files)
+    statuses, taken = [], []
+    ros_node.create_subscription(RewardStatus, "reward_status", statuses.append, subscriber_qos("reward_status"))
+    ros_node.create_subscription(Feedback, "feedback", taken.append, subscriber_qos("feedback"))
+    feedback = ros_node.create_publisher(Feedback, "feedback", publisher_qos("feedback"))
+    runs = ros_node.create_publisher(TrackedRun, "tracked_run", publisher_qos("tracked_run"))
+    spin_until(lambda: feedback.get_subscription_count() > 1 and runs.get_subscription_count() > 0, 60.0)
+    shown = demonstration(files)
+    feedback.publish(shown)
+    for name in ("run 1", "run 2"):
+        runs.publish(TrackedRun(motion_id=name, measured=shown.demonstration))
+    known = ["demo-1", "run 1", "run 2"]
+    spin_until(lambda: call(RankMotions, "rank_motions").known == known, 30.0)
+    for wrong, ranks, word in ((["run 1", "run 3"], [0, 1], "run 3"), (["run 1"], [0], "two or more"),
+                               (["run 1", "run 1"], [0, 1], "different"), (["run 1", "run 2"], [0], "ranks")):
+        answer = call(RankMotions, "rank_motions", RankMotions.Request(motions=wrong, ranks=ranks))
+        assert not answer.success and word in answer.message
+    answer = call(RankMotions, "rank_motions",
+                  RankMotions.Request(motions=["run 2", "demo-1", "run 1"], ranks=[1, 0, 1]))
+    assert answer.success and answer.known == known, answer.message
+    spin_until(lambda: any(f.id == answer.feedback_id for f in taken), 30.0)
+    item = next(f for f in taken if f.id == answer.feedback_id)
+    assert (item.kind, list(item.ranks), len(item.options)) == (Feedback.PREFERENCE, [1, 0, 1], 3)
+    assert list(call(ListFeedback, "list_feedback").ids) == ["demo-1", answer.feedback_id]
+    assert call(TrainReward, "train_reward").success
+    assert call(UndoFeedback, "undo_feedback").id == answer.feedback_id

@@ -6,7 +6,8 @@ import argparse
 from importlib import import_module
 from pathlib import Path
 
-BENCHMARKS = ("reward", "planner", "context", "lesson", "reliability", "queries", "loop", "faults", "recording")
+BENCHMARKS = ("capture", "reward", "planner", "context", "lesson", "reliability", "queries", "loop", "faults",
+              "recording")
 """Each has a module unifeed_ros.cli.bench_<name> with a function run(options), loaded only when it is asked for."""
 
 
@@ -15,7 +16,8 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
     parser = commands.add_parser("bench", help="measure the figures that the documentation gives")
     names = parser.add_subparsers(dest="benchmark", required=True, metavar="NAME")
     added = {}
-    for name, text in (("reward", "training beside the paper's procedure, with the quality of both"),
+    for name, text in (("capture", "what is found of simulated pushes on a moving arm, and when"),
+                       ("reward", "training beside the paper's procedure, with the quality of both"),
                        ("planner", "plans beside SciPy's SLSQP on the very same problems"),
                        ("context", "taught at two goals, tested at new goals and object places"),
                        ("lesson", "whole lessons, and how far the last motion is from the best"),
@@ -28,6 +30,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
         added[name] = names.add_parser(name, help=text, description=text)
         added[name].add_argument("--json", action="store_true", help="print JSON")
         added[name].set_defaults(run=run_bench)
+    _add_capture_options(added["capture"])
     _add_reward_options(added["reward"])
     _add_planner_options(added["planner"])
     _add_context_options(added["context"])
@@ -46,6 +49,17 @@ def run_bench(options: argparse.Namespace) -> int:
         return int(import_module(f"unifeed_ros.cli.bench_{options.benchmark}").run(options))
     more = ["--json"] if options.json else []
     return max(run_bench(options.parser.parse_args([name, *more])) for name in BENCHMARKS)
+
+
+def _add_capture_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--robot", default="panda", help="the robot (default: panda)")
+    parser.add_argument("--pushes", type=int, default=1000, help="pushes, 3 to 30 N, 0.15 to 5 s (default: 1000)")
+    parser.add_argument("--minutes", type=float, default=30.0, help="free motion [simulated min] (default: 30)")
+    parser.add_argument("--hits", type=int, default=100, help="hits, 60 to 200 N, 15 to 40 ms (default: 100)")
+    parser.add_argument("--source", default="joint_state",
+                        help="where external torque comes from: joint_state, wrench or momentum (default: joint_state)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of sensors, motion and pushes (default: 0)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes at once (default: 1)")
 
 
 def _add_reward_options(parser: argparse.ArgumentParser) -> None:

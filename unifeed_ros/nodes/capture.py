@@ -4,30 +4,33 @@ from __future__ import annotations
 
 import sys
 
-import numpy as np
 from trajectory_msgs.msg import JointTrajectory
 
 from unifeed_msgs.msg import TeachingState
-from unifeed_ros.core.capture.contact import ContactConfig, ContactDetector, ContactSample
+from unifeed_ros.core.capture.contact import ContactDetector, ContactSample
+from unifeed_ros.core.capture.contact_config import ContactConfig
 from unifeed_ros.core.capture.feedback_capture import (
     CaptureConfig,
     Captured,
+    CapturedCorrections,
     CapturedDemonstration,
     FeedbackCapture,
 )
 from unifeed_ros.core.errors import InputError
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem
-from unifeed_ros.core.types import Array
+from unifeed_ros.core.types import Array, RobotState
 from unifeed_ros.nodes.conversions import (
     contact_to_msg,
     feedback_to_msg,
     seconds,
+    tracked_run_to_msg,
     trajectory_from_msg,
 )
 from unifeed_ros.nodes.joint_stream import JointReader
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
+from unifeed_ros.nodes.torque_input import TorqueInput
 
 CONTACT_PERIOD = 0.01
 """Time between two messages on `contact` while nothing changes [s]."""
@@ -45,18 +48,21 @@ class CaptureNode(UnifeedNode):
         self._task_context = self.load_scene().context()
         self._frame = self._robot.config.base_frame
         self._detector = ContactDetector(
-            self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig)
+            self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig), self._robot
         )
-        self._capture = FeedbackCapture(self._robot, settings(self, "capture", CaptureConfig))
+        config = settings(self, "capture", CaptureConfig)
+        self._capture, self._run_rate = FeedbackCapture(self._robot, config), config.correction.rate
         self._state_reader = JointReader(self._robot.joint_names)
-        self._torque_reader = JointReader(self._robot.joint_names)
-        self._velocities: Array = np.zeros(self._robot.n)
+        self._torque_input = TorqueInput(self, self._robot, self._on_torque,
+                                         lambda reason: self.say(WARN, f"external torque skipped: {reason}"),
+                                         depth=KEPT_SAMPLES)
+        self._state: RobotState | None = None
         self._contact_sent, self._was_in_contact = 0.0, False
         self._taken = {"demonstration": 0, "correction": 0}
         self._contacts = self.advertise("contact")
         self._feedback = self.advertise("feedback")
+        self._runs = self.advertise("tracked_run")
         self.listen("joint_states", self._on_state, raw=True, depth=KEPT_SAMPLES)
-        self.listen("external_torques", self._on_torque, raw=True, depth=KEPT_SAMPLES)
         self.listen("teaching_state", self._on_teaching)
         self.listen("trajectory", self._on_trajectory)
         self.say(OK, "watching")
@@ -68,12 +74,14 @@ class CaptureNode(UnifeedNode):
         except InputError as error:
             self.say(WARN, f"joint state skipped: {error}")
             return
-        self._velocities = state.velocities
+        self._state = state
+        self._torque_input.observe_state(state)
 
-    def _on_torque(self, data: bytes) -> None:
+    def _on_torque(self, time: float, torque: Array) -> None:
+        if self._state is None:
+            return
         try:
-            time, torque = self._torque_reader.torques(data, "external torques")
-            sample = self._detector.update(time, torque, self._velocities)
+            sample = self._detector.update(time, torque, self._state.velocities, self._state.positions)
         except InputError as error:
             self.say(WARN, f"external torque skipped: {error}")
             return
@@ -83,7 +91,7 @@ class CaptureNode(UnifeedNode):
     def _publish_contact(self, sample: ContactSample) -> None:
         changed = sample.in_contact != self._was_in_contact
         if changed or not 0.0 <= sample.time - self._contact_sent < CONTACT_PERIOD:
-            self._contacts.publish(contact_to_msg(sample, sample.time, self._frame))
+            self._contacts.publish(contact_to_msg(sample, self._robot.joint_names, self._frame))
             self._contact_sent, self._was_in_contact = sample.time, sample.in_contact
 
     def _on_trajectory(self, msg: JointTrajectory) -> None:
@@ -96,9 +104,13 @@ class CaptureNode(UnifeedNode):
         for captured in self._capture.observe_teaching(
             seconds(msg.header.stamp), msg.mode, msg.motion_id, msg.motion_time
         ):
-            for item in self._items(captured):
+            items = self._items(captured)
+            for item in items:
                 self._feedback.publish(feedback_to_msg(item, captured.time, self._frame))
                 self.say(OK, f"{item.kind} {item.id} captured")
+            if isinstance(captured, CapturedCorrections) and captured.run is not None:
+                self._runs.publish(tracked_run_to_msg(captured, self._robot.joint_names, [item.id for item in items],
+                                                      self._run_rate, self._frame))
             if captured.reason:
                 self.say(WARN, captured.reason)
 

@@ -8,14 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Point, Vector3, Wrench, WrenchStamped
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from unifeed_msgs.action import OptimizeTrajectory
-from unifeed_msgs.msg import Contact, Feedback, RewardModel, TaskContext, TeachingState
+from unifeed_msgs.msg import Contact, Feedback, RewardModel, TaskContext, TeachingState, TrackedRun
 from unifeed_ros.core.capture.contact import ContactSample
 from unifeed_ros.core.capture.external import by_name
+from unifeed_ros.core.capture.feedback_capture import CapturedCorrections
 from unifeed_ros.core.control.command import Command
 from unifeed_ros.core.errors import InputError
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
@@ -209,8 +210,35 @@ def teaching_state_to_msg(command: Command, state: RobotState, duration: float, 
     )
 
 
-def contact_to_msg(sample: ContactSample, time: float, frame: str) -> Contact:
+def wrench_from_msg(msg: Wrench) -> Array:
+    """Convert a wrench: force [N], then torque [Nm], shape (6,)."""
+    return np.array([msg.force.x, msg.force.y, msg.force.z, msg.torque.x, msg.torque.y, msg.torque.z])
+
+
+def wrench_to_msg(wrench: Array, time: float, frame: str) -> WrenchStamped:
+    """Convert force [N] and torque [Nm], shape (6,), at the origin and in the axes of a frame."""
+    force, torque = (Vector3(**dict(zip("xyz", map(float, part), strict=True))) for part in (wrench[:3], wrench[3:]))
+    return WrenchStamped(header=header(time, frame), wrench=Wrench(force=force, torque=torque))
+
+
+def contact_to_msg(sample: ContactSample, joint_names: Sequence[str], frame: str) -> Contact:
     """Convert a contact sample."""
     return Contact(
-        header=header(time, frame), kind=int(sample.kind), onset=stamp(sample.onset or 0.0), level=float(sample.level),
+        header=header(sample.time, frame), kind=int(sample.kind), onset=stamp(sample.onset or 0.0),
+        release=stamp(sample.release or 0.0), level=float(sample.level), link=sample.link,
+        link_joint=joint_names[sample.link - 1] if sample.link else "",
         torque=array("d", np.asarray(sample.torque).tobytes()), bias=array("d", np.asarray(sample.bias).tobytes()))
+
+
+def tracked_run_to_msg(captured: CapturedCorrections, joint_names: Sequence[str], feedback_ids: Sequence[str],
+                       rate: float, frame: str) -> TrackedRun:
+    """Convert a whole run, thinned to a rate [Hz], with its corrections tagged by the names of their items."""
+    assert captured.run is not None
+    run = captured.run.thinned(rate)
+    began = float(run.times[0])
+    measured = Trajectory(joint_names=tuple(joint_names), times=run.times - began, positions=run.positions)
+    return TrackedRun(
+        header=header(captured.time, frame), motion_id=captured.motion_id, measured=trajectory_to_msg(measured),
+        motion_times=array("d", run.motion_times.tobytes()), in_contact=run.in_contact.tolist(),
+        feedback_ids=list(feedback_ids), span_starts=[span.interval[0] - began for span in captured.corrections],
+        span_ends=[span.interval[1] - began for span in captured.corrections])

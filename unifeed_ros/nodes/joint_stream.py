@@ -54,9 +54,23 @@ class JointReader:
             InputError: Not a joint state, a joint is missing or comes twice, positions or velocities are not one a
                 joint, or not finite.
         """
-        time, (positions, velocities, _) = self._read(data)
-        return RobotState(time=time, positions=self._ordered(positions, "joint positions"),
-                          velocities=self._ordered(velocities, "joint velocities"))
+        return self._state(*self._read(data))
+
+    def state_and_torques(self, data: bytes, what: str) -> tuple[RobotState, Array]:
+        """Read a measured state and the efforts that came with it.
+
+        Args:
+            data: The serialised sensor_msgs/msg/JointState.
+            what: What the efforts are, for the error.
+
+        Returns:
+            The state, and torques, shape (n,) [Nm].
+
+        Raises:
+            InputError: As for state, of the efforts too.
+        """
+        time, columns = self._read(data)
+        return self._state(time, columns), self._ordered(columns[2], what)
 
     def torques(self, data: bytes, what: str) -> tuple[float, Array]:
         """Read the efforts.
@@ -73,6 +87,10 @@ class JointReader:
         """
         time, (_, _, efforts) = self._read(data)
         return time, self._ordered(efforts, what)
+
+    def _state(self, time: float, columns: Sequence[Array]) -> RobotState:
+        return RobotState(time=time, positions=self._ordered(columns[0], "joint positions"),
+                          velocities=self._ordered(columns[1], "joint velocities"))
 
     def _read(self, data: bytes) -> tuple[float, list[Array]]:
         """Give the stamp and the three arrays as they were sent."""

@@ -9,8 +9,16 @@ from typing import Any
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.task import Future
 
-from unifeed_msgs.msg import Feedback, PreferenceQuery, RewardStatus, TaskContext
-from unifeed_msgs.srv import AnswerQuery, EvaluateReward, ListFeedback, SelectQuery, TrainReward, UndoFeedback
+from unifeed_msgs.msg import Feedback, PreferenceQuery, RewardStatus, TaskContext, TrackedRun
+from unifeed_msgs.srv import (
+    AnswerQuery,
+    EvaluateReward,
+    ListFeedback,
+    RankMotions,
+    SelectQuery,
+    TrainReward,
+    UndoFeedback,
+)
 from unifeed_ros.core.errors import InputError, UnifeedError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem, Preference
@@ -39,6 +47,9 @@ from unifeed_ros.nodes.training_worker import ChosenQuery, TrainingWorker
 MESSAGE_KINDS = {"demonstration": Feedback.DEMONSTRATION, "correction": Feedback.CORRECTION,
                  "preference": Feedback.PREFERENCE}
 
+REMEMBERED_RUNS = 100
+"""Number of past runs that can be ranked."""
+
 
 class RewardLearnerNode(UnifeedNode):
     """Keep the dataset, train on request, choose questions, evaluate motions."""
@@ -58,7 +69,8 @@ class RewardLearnerNode(UnifeedNode):
         self._known: RewardEnsemble | None = None
         self._version = 0
         self._reliability = (1.0, 1.0, 1.0)
-        self._motions: list[Trajectory] = []
+        self._runs: dict[str, Trajectory] = {}
+        self._rankings = 0
         self._query: PreferenceQuery | None = None
         self._queries_asked = 0
         self._time = 0.0
@@ -73,11 +85,13 @@ class RewardLearnerNode(UnifeedNode):
         self._statuses = self.advertise("reward_status")
         self._feedback = self.advertise("feedback")
         self.listen("feedback", self._on_feedback)
+        self.listen("tracked_run", self._on_run)
         # groups of their own: while a coroutine waits, its group runs nothing else
         self.create_service(TrainReward, "train_reward", self._on_train, callback_group=ReentrantCallbackGroup())
         self.create_service(EvaluateReward, "evaluate_reward", self._answering(self._evaluate))
         self.create_service(SelectQuery, "select_query", self._on_select, callback_group=ReentrantCallbackGroup())
         self.create_service(AnswerQuery, "answer_query", self._answering(self._answer))
+        self.create_service(RankMotions, "rank_motions", self._answering(self._rank))
         self.create_service(UndoFeedback, "undo_feedback", self._answering(self._undo))
         self.create_service(ListFeedback, "list_feedback", self._answering(self._list))
         self.create_timer(0.2, self._tick, clock=self.steady)
@@ -107,6 +121,14 @@ class RewardLearnerNode(UnifeedNode):
         self._time = seconds(msg.header.stamp)
         self.say(OK, f"{item.kind} {item.id} taken")
         self._publish_status_message()
+
+    def _on_run(self, msg: TrackedRun) -> None:
+        try:
+            self._runs[msg.motion_id] = trajectory_from_msg(msg.measured, self._robot.joint_names)
+        except UnifeedError as error:
+            self.say(WARN, f"run {msg.motion_id} cannot be ranked: {error}")
+        while len(self._runs) > REMEMBERED_RUNS:
+            del self._runs[next(iter(self._runs))]
 
     # Training.
 
@@ -195,6 +217,26 @@ class RewardLearnerNode(UnifeedNode):
         response.disagreement = list(map(float, rewards.std(axis=0)))
         response.total = float(summed.mean(axis=0).sum())
         return f"return {response.total:.2f} of at most {self._training.waypoints}"
+
+    def _rank(self, request: RankMotions.Request, response: RankMotions.Response) -> str:
+        shown = {item.id: item.trajectory for item in self._dataset.items if isinstance(item, Demonstration)}
+        known = {**shown, **self._runs}
+        response.known = list(known)
+        missing = [name for name in request.motions if name not in known]
+        if missing or len(set(request.motions)) < max(2, len(request.motions)):
+            raise InputError("motions to rank", expected="two or more different ones of those that are known",
+                             got=", ".join(missing or request.motions) or "none",
+                             mend="the field known of this answer lists them")
+        item = Preference(
+            id=f"preference-ranking-{self._rankings + 1}", robot=self._robot.config.name,
+            context=self._context_of(request.context), options=tuple(known[name] for name in request.motions),
+            ranks=tuple(request.ranks))
+        self._dataset.add(item)
+        self._rankings += 1
+        self._feedback.publish(feedback_to_msg(item, self._time, self._robot.config.base_frame))
+        response.feedback_id = item.id
+        self._publish_status_message()
+        return "noted" if item.ranked_pairs else "noted; without a better and a worse motion nothing is learned from it"
 
     def _answer(self, request: AnswerQuery.Request, response: AnswerQuery.Response) -> str:
         if self._query is None or (request.query_id and request.query_id != self._query.id):

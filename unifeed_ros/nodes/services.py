@@ -38,6 +38,8 @@ SERVICES: tuple[Service, ...] = (
             "Chooses among past motions and variations of them, in the learner's own context."),
     Service("answer_query", "unifeed_msgs/srv/AnswerQuery", "reward_learner",
             'Answers the newest query with "neither", from which nothing is learned.'),
+    Service("rank_motions", "unifeed_msgs/srv/RankMotions", "reward_learner",
+            "Refused with a message: names of motions are needed; the answer lists those that are known."),
     Service("undo_feedback", "unifeed_msgs/srv/UndoFeedback", "reward_learner", "Takes the newest input back."),
     Service("list_feedback", "unifeed_msgs/srv/ListFeedback", "reward_learner", "Lists every input, oldest first."),
     Service("optimize_trajectory", "unifeed_msgs/action/OptimizeTrajectory", "trajectory_optimizer",

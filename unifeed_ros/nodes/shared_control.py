@@ -10,7 +10,8 @@ from std_srvs.srv import Trigger
 
 from unifeed_msgs.msg import LessonState
 from unifeed_msgs.srv import SetMode
-from unifeed_ros.core.capture.contact import ContactConfig, ContactDetector
+from unifeed_ros.core.capture.contact import ContactDetector, ContactSample
+from unifeed_ros.core.capture.contact_config import ContactConfig, ContactKind
 from unifeed_ros.core.control.clock import ClockWatch
 from unifeed_ros.core.control.command import Command
 from unifeed_ros.core.control.controller import SharedController
@@ -29,6 +30,7 @@ from unifeed_ros.nodes.node import ERROR, OK, WARN
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.real_time import RealTimeConfig
 from unifeed_ros.nodes.spin import run_node
+from unifeed_ros.nodes.torque_input import TorqueInput
 
 STATE_PERIOD = 0.01
 """Time between two messages on `teaching_state` while the mode stays [s]."""
@@ -67,10 +69,11 @@ class SharedControlNode(ManagedNode):
         config = settings(self, "control", ControlConfig)
         self._controller = SharedController(self._robot, config)
         self._detector = ContactDetector(
-            self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig)
+            self._robot.config.contact_thresholds, settings(self, "contact", ContactConfig), self._robot
         )
         self._state_reader = JointReader(self._robot.joint_names)
-        self._torque_reader = JointReader(self._robot.joint_names)
+        self._torque_input = TorqueInput(self, self._robot, self._on_torque,
+                                         lambda reason: self._fault(f"external torque: {reason}"))
         self._clock_watch = ClockWatch(config.clock_step)
         self._figures = LoopFigures(self._loop.rate, self._loop.late)
         self._state: RobotState | None = None
@@ -86,7 +89,6 @@ class SharedControlNode(ManagedNode):
         self._teaching = self.advertise("teaching_state")
         self._motions = MotionServer(self, self._controller, self._require_ready)
         self.listen("joint_states", self._on_state, raw=True)
-        self.listen("external_torques", self._on_torque, raw=True)
         self.listen("lesson_state", self._on_lesson)
         self.create_service(SetMode, "set_mode", self._on_set_mode)
         self.create_service(Trigger, "stop", self._on_stop)
@@ -95,17 +97,24 @@ class SharedControlNode(ManagedNode):
 
     # Inputs.
 
-    def _on_torque(self, data: bytes) -> None:
+    def _on_torque(self, time: float, torque: Array) -> None:
         self._figures.torque()
         if self._state is None:
             return
         try:
-            time, torque = self._torque_reader.torques(data, "external torques")
-            sample = self._detector.update(time, torque, self._state.velocities)
+            sample = self._detector.update(time, torque, self._state.velocities, self._state.positions)
         except InputError as error:
             self._fault(f"external torque: {error}")
             return
+        if sample.kind is ContactKind.COLLISION:
+            self._on_collision(sample)
         self._torque, self._torque_time = sample.torque, sample.time
+
+    def _on_collision(self, sample: ContactSample) -> None:
+        """Stop an arm that was hit on its way; one that holds or is guided yields anyway."""
+        if self._controller.mode is TeachingMode.TRACK:
+            self._controller.stop(f"something hit the arm at or beyond {self._robot.joint_names[sample.link - 1]}: "
+                                  "clear its way, then set_mode or the session's reset")
 
     def _on_state(self, data: bytes) -> None:
         now = self._figures.state()
@@ -120,6 +129,7 @@ class SharedControlNode(ManagedNode):
         elif self._state is None or state.time > self._state.time:
             self._state_silence.end()  # a driver that repeats itself is as silent as one that says nothing
         self._state = state
+        self._torque_input.observe_state(state)
         if not 0.0 <= state.time - self._commanded < 1.0 / self._loop.rate - 0.0005:
             self._commanded = state.time
             self._tick(state)
@@ -143,7 +153,7 @@ class SharedControlNode(ManagedNode):
     # The loop.
 
     def _tick(self, state: RobotState) -> None:
-        fresh = 0.0 <= state.time - self._torque_time < self._controller.config.stale_after
+        fresh = abs(state.time - self._torque_time) < self._controller.config.stale_after
         command = self._controller.step(state, self._torque if fresh else None)
         if self.active and self._output.send(state.time, command):
             self._figures.command()

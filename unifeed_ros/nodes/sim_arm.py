@@ -14,11 +14,13 @@ from rosgraph_msgs.msg import Clock as ClockMsg
 from trajectory_msgs.msg import JointTrajectory
 
 from unifeed_ros.core.capture.external import by_name
+from unifeed_ros.core.capture.external_torque import MOMENTUM, ExternalTorqueConfig
 from unifeed_ros.core.errors import ConfigError, InputError
-from unifeed_ros.nodes.conversions import seconds, stamp
+from unifeed_ros.nodes.conversions import seconds, stamp, wrench_from_msg
 from unifeed_ros.nodes.joint_stream import JointReader, JointWriter
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
+from unifeed_ros.nodes.sensor_output import make_sensor_output
 from unifeed_ros.nodes.spin import run_node
 from unifeed_ros.simulation.arm import SimulatedArm
 
@@ -70,8 +72,11 @@ class SimArmNode(UnifeedNode):
         self._arm.reset(self._robot.inverse_kinematics(scene.start, scene.axis))
         names = self._robot.joint_names
         self._reader, self._setpoint_reader = JointReader(names), JointReader(names)
-        self._state_writer = JointWriter(names, ("position", "velocity"))
-        self._torque_writer = JointWriter(names, ("effort",))
+        sensing = settings(self, "external_torque", ExternalTorqueConfig)
+        self._measures_torque = sensing.source == MOMENTUM
+        fields = ("position", "velocity", "effort") if self._measures_torque else ("position", "velocity")
+        self._state_writer = JointWriter(names, fields)
+        self._publish_touch = make_sensor_output(self, self._arm, sensing)
         self._stride = max(1, math.ceil(self._config.speed))
         self._commanded_at = self._pushed_at = self._answered = -math.inf
         self._obeying = self._pushed = False
@@ -84,7 +89,6 @@ class SimArmNode(UnifeedNode):
 
     def _connect(self) -> None:
         self._states = self.advertise("joint_states")
-        self._torques = self.advertise("external_torques")
         self._clock_topic = self.advertise("clock")
         self.listen("joint_command", self._on_command, raw=True)
         self.listen("joint_setpoint", self._on_setpoint, raw=True)
@@ -142,8 +146,7 @@ class SimArmNode(UnifeedNode):
             self._late += latency > LATE
 
     def _on_hand(self, msg: WrenchStamped) -> None:
-        f, t = msg.wrench.force, msg.wrench.torque
-        wrench = np.array([f.x, f.y, f.z, t.x, t.y, t.z])
+        wrench = wrench_from_msg(msg.wrench)
         if np.isfinite(wrench).all():
             self._arm.push(wrench)
             self._pushed_at, self._pushed = self._arm.time, True
@@ -197,8 +200,9 @@ class SimArmNode(UnifeedNode):
     def _publish(self) -> None:
         state = self._arm.state()
         self._sent.append((state.time, time.monotonic()))
-        self._states.publish(self._state_writer.write(state.time, state.positions, state.velocities))
-        self._torques.publish(self._torque_writer.write(state.time, self._arm.external_torque()))
+        efforts = (self._arm.measured_torque(),) if self._measures_torque else ()
+        self._states.publish(self._state_writer.write(state.time, state.positions, state.velocities, *efforts))
+        self._publish_touch()
 
     def refresh_status(self) -> None:
         """Say whether commands come, and how late they are."""

@@ -72,6 +72,7 @@ TOPICS: tuple[Topic, ...] = (
     Topic("trajectory", TRAJECTORY, LATCHED, 0.0, ("shared_control",), ("sim_teacher", "capture")),
     Topic("trajectory_preview", TRAJECTORY, LATCHED, 0.0, ("trajectory_optimizer",), ()),
     Topic("contact", "unifeed_msgs/msg/Contact", STREAM, 100.0, ("capture",), ()),
+    Topic("tracked_run", "unifeed_msgs/msg/TrackedRun", EVENT, 0.0, ("capture",), ("reward_learner",)),
     Topic(
         "feedback",
         "unifeed_msgs/msg/Feedback",

@@ -14,6 +14,7 @@ from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, RobotState, frozen_array
 from unifeed_ros.simulation.arm_model import ArmDynamics, build_arm_model
+from unifeed_ros.simulation.arm_sensors import DriveSensor, WristSensor
 
 TIMESTEP = 0.001
 """Step of the physics [s]."""
@@ -41,6 +42,14 @@ class ArmConfig:
     """Time constant of the filter that the external torque passes [s]."""
     friction_error: float = 0.15
     """Standard deviation of the part of each joint's friction that the estimate of external torque misses [1]."""
+    payload: float = 0.0
+    """Mass at the tool that the arm's own model lacks: it shows as external torque [kg]."""
+    measured_noise: float = 0.05
+    """Standard deviation of the measured motor torque, as part of each joint's contact threshold [1]."""
+    wrench_noise: Sequence[float] = (0.3, 0.02)
+    """Standard deviation of the wrist sensor's force [N] and torque [Nm]."""
+    wrench_offset: Sequence[float] = (2.0, 0.1)
+    """Standard deviation of the wrist sensor's constant offset, in its axes: force [N] and torque [Nm]."""
     hold_damping: float = 5.0
     """Damping of the arm's own gravity compensation, when no command comes [Nm s/rad]."""
 
@@ -48,6 +57,10 @@ class ArmConfig:
         """Reject negative values."""
         object.__setattr__(self, "damping", tuple(float(v) for v in self.damping))
         object.__setattr__(self, "armature", tuple(float(v) for v in self.armature))
+        for name in ("wrench_noise", "wrench_offset"):
+            object.__setattr__(self, name, tuple(float(v) for v in getattr(self, name)))
+            if len(getattr(self, name)) != 2:
+                raise ConfigError(name, expected="two numbers, force and torque", got=getattr(self, name))
         for name in self.__dataclass_fields__:
             values = np.atleast_1d(getattr(self, name))
             if not (np.isfinite(values).all() and (values >= 0.0).all()):
@@ -58,8 +71,8 @@ class SimulatedArm:
     """One arm in MuJoCo, 1 kHz, with a table that it can touch.
 
     The estimate of external torque is what a real arm would give: the torques of hand and table through a first-order
-    filter, plus the friction that the arm's model misses, a constant bias a joint, and noise. Every random number comes
-    from the seed: the same calls give the same bytes.
+    filter, plus the friction and payload that the arm's model misses, a constant bias a joint, and noise. Every random
+    number comes from the seed: the same calls give the same bytes.
 
     Args:
         robot: The arm.
@@ -76,7 +89,8 @@ class SimulatedArm:
         self.robot, self.config = robot, config or ArmConfig()
         n = robot.n
         damping, armature = (self._per_joint(name) for name in ("damping", "armature"))
-        dynamics = ArmDynamics(friction=robot.config.friction, damping=damping, armature=armature)
+        dynamics = ArmDynamics(friction=robot.config.friction, damping=damping, armature=armature,
+                               payload=self.config.payload)
         self.model = build_arm_model(robot, dynamics, table_height=table_height, timestep=TIMESTEP)
         self.data = mujoco.MjData(self.model)
         self._tool = self.model.site("tool").id
@@ -84,6 +98,8 @@ class SimulatedArm:
         thresholds = np.array(robot.config.contact_thresholds)
         self._bias = self._rng.normal(size=n) * self.config.torque_bias * thresholds
         self._friction_error = self._rng.normal(size=n) * self.config.friction_error
+        self._drive = DriveSensor(self.config.measured_noise * thresholds, seed)
+        self._wrist = WristSensor(self.config.wrench_offset, self.config.wrench_noise, seed)
         self._dry, self._viscous = np.array(robot.config.friction), np.array(damping)
         self._noise_scales = np.concatenate([np.full(n, self.config.position_noise),
                                              np.full(n, self.config.velocity_noise),
@@ -115,6 +131,7 @@ class SimulatedArm:
         self._drive: tuple[Array, Array, Array, Array] | None = None
         self._hand: Array | None = None
         self._external = np.zeros(self.robot.n)
+        self._motor = np.zeros(self.robot.n)
         self._draw_noise()
         mujoco.mj_step1(self.model, self.data)
 
@@ -171,7 +188,8 @@ class SimulatedArm:
         """Advance the physics by 1 ms."""
         model, data = self.model, self.data
         limits = self.robot.torque_limits
-        data.qfrc_applied[:] = np.minimum(np.maximum(self._motor_torque(), -limits), limits)
+        self._motor = np.minimum(np.maximum(self._motor_torque(), -limits), limits)
+        data.qfrc_applied[:] = self._motor
         hand = self._hand_torque()
         if hand is not None:
             data.qfrc_applied += hand
@@ -208,6 +226,16 @@ class SimulatedArm:
             external += self._gain * hand
         if self.data.ncon > 0:
             external += self._gain * self.contact_torque()
+        if self.config.payload > 0.0:
+            external += self._gain * (self._payload_force() @ self._jacobian[:3])
+
+    def _payload_force(self) -> Array:
+        """Compute the payload's force on the arm, axes of the base frame, shape (3,) [N]; finds the Jacobian too."""
+        mujoco.mj_jacSite(self.model, self.data, self._jacobian[:3], self._jacobian[3:], self._tool)
+        mujoco.mj_rnePostConstraint(self.model, self.data)
+        felt = np.zeros(6)
+        mujoco.mj_objectAcceleration(self.model, self.data, mujoco.mjtObj.mjOBJ_SITE, self._tool, felt, 0)
+        return -self.config.payload * felt[3:]  # MuJoCo counts gravity as an acceleration of the base
 
     def contact_torque(self) -> Array:
         """Compute the joint torques of the table's contact forces in the last step.
@@ -237,6 +265,26 @@ class SimulatedArm:
         velocities = self.data.qvel
         missed = self._friction_error * (self._dry * np.tanh(velocities / 0.02) + self._viscous * velocities)
         return self._external - missed + self._bias + self._noise[self._next_noise, 2 * self.robot.n:]
+
+    def measured_torque(self) -> Array:
+        """Measure the motors' torques, friction and rotors included, as a drive does.
+
+        Returns:
+            Torques of the last step with noise, shape (n,) [Nm].
+        """
+        return self._drive.read(self._motor)
+
+    def wrist_wrench(self) -> Array:
+        """Measure the wrench of hand and payload with a sensor at the tool.
+
+        Returns:
+            Force [N], then torque [Nm], at the tool's origin in its axes, with offset and noise, shape (6,).
+        """
+        wrench = np.zeros(6) if self._hand is None else self._hand.copy()
+        if self.config.payload > 0.0:
+            wrench[:3] += self._payload_force()
+        rotation = self.data.site_xmat[self._tool].reshape(3, 3)
+        return self._wrist.read(np.concatenate([wrench[:3] @ rotation, wrench[3:] @ rotation]))
 
     @property
     def time(self) -> float:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.robot import RobotModel
@@ -34,6 +35,8 @@ class ArmDynamics:
     """Viscous friction, length n [Nm s/rad]."""
     armature: Sequence[float]
     """Inertia of the rotors seen at the joint, length n [kg m^2]."""
+    payload: float = 0.0
+    """Mass at the tool, beside the URDF's [kg]."""
 
 
 def build_arm_model(robot: RobotModel, dynamics: ArmDynamics, *, table_height: float | None,
@@ -58,6 +61,9 @@ def build_arm_model(robot: RobotModel, dynamics: ArmDynamics, *, table_height: f
     for joint in range(1, robot.pin_model.njoints):
         bodies.append(_add_link(bodies, robot, joint, dynamics))
     _add_tool(bodies[-1], robot)
+    if dynamics.payload > 0.0:
+        bodies[-1].add_body(name="payload", pos=_tool_placement(robot).translation, mass=dynamics.payload,
+                            explicitinertial=True, ipos=[0.0, 0.0, 0.0], inertia=[1e-4, 1e-4, 1e-4])
     if table_height is not None:
         spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[2.0, 2.0, 0.1],
                                 pos=[0.0, 0.0, table_height], contype=1, conaffinity=0)
@@ -108,11 +114,15 @@ def _add_capsule(body: mujoco.MjsBody, end: Array) -> None:
 
 
 def _add_tool(body: mujoco.MjsBody, robot: RobotModel) -> None:
-    placement = robot.pin_model.frames[robot.pin_model.getFrameId(robot.config.tool_frame)].placement
+    placement = _tool_placement(robot)
     body.add_site(name="tool", pos=placement.translation, quat=_quaternion(placement.rotation))
     centre = placement.translation - TOOL_RADIUS * placement.rotation[:, 2]
     body.add_geom(name="tool", type=mujoco.mjtGeom.mjGEOM_SPHERE, pos=centre, size=[TOOL_RADIUS, 0.0, 0.0],
                   contype=0, conaffinity=1)
+
+
+def _tool_placement(robot: RobotModel) -> pin.SE3:
+    return robot.pin_model.frames[robot.pin_model.getFrameId(robot.config.tool_frame)].placement
 
 
 def _quaternion(rotation: Array) -> Array:

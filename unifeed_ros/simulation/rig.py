@@ -9,7 +9,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from unifeed_ros.core.capture.contact import ContactConfig, ContactDetector
+from unifeed_ros.core.capture.contact import ContactDetector
+from unifeed_ros.core.capture.contact_config import ContactConfig
 from unifeed_ros.core.capture.feedback_capture import (
     CaptureConfig,
     Captured,
@@ -78,7 +79,7 @@ class Rig:
         self._arm = SimulatedArm(robot, seed=seed, table_height=table_height, config=self._config.arm)
         self._arm.reset(start)
         self._controller = SharedController(robot, self._config.control)
-        self._contact = ContactDetector(robot.config.contact_thresholds, self._config.contact)
+        self._contact = ContactDetector(robot.config.contact_thresholds, self._config.contact, robot)
         self._capture = FeedbackCapture(robot, self._config.capture)
         self._controller.hold(self._arm.state())
         self.rest(0.5)  # the detector learns the sensors' bias while nobody touches
@@ -168,7 +169,7 @@ class Rig:
             if arm.time > limit:
                 raise LessonError("a run did not end", expected=f"within {self._config.patience} s")
             state = arm.state()
-            contact = self._contact.update(state.time, arm.external_torque(), state.velocities)
+            contact = self._contact.update(state.time, arm.external_torque(), state.velocities, state.positions)
             command = self._controller.step(state, contact.torque)
             self._capture.observe_state(state)
             self._capture.observe_contact(contact)

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from unifeed_ros.core.capture.contact import ContactConfig, ContactDetector, ContactKind
+from unifeed_ros.core.capture.contact import ContactDetector
+from unifeed_ros.core.capture.contact_config import ContactConfig, ContactKind
 from unifeed_ros.core.capture.touches import inside_any, judge_recording
 from unifeed_ros.core.errors import ConfigError, InputError, ShapeError
 
@@ -39,13 +40,13 @@ def test_pushes_with_known_times_are_found(seed, count):
     starts = 0.6 + np.arange(count) * 1.35 + rng.uniform(0.0, 0.2, count)
     spans = [(s, s + d) for s, d in zip(starts, rng.uniform(0.4, 0.8, count), strict=True)]
     times, torque, velocities, truth = pushes(spans, rng.uniform(2.5, 8.0, count), seed=seed)
-    samples, touches = detect(times, torque, velocities)
+    _, touches = detect(times, torque, velocities)
     assert len(touches) == count and all(touch.meant for touch in touches)
-    np.testing.assert_allclose([t.onset for t in touches], [s for s, _ in spans], atol=0.06)
-    np.testing.assert_allclose([t.end for t in touches], [e for _, e in spans], atol=0.15)
-    found = np.array([s.in_contact for s in samples])
+    np.testing.assert_allclose([t.onset for t in touches], [s for s, _ in spans], atol=0.025)
+    np.testing.assert_allclose([t.end for t in touches], [e for _, e in spans], atol=0.025)
+    found = inside_any(times, touches)
     f1 = 2 * (found & truth).sum() / (found.sum() + truth.sum())
-    assert f1 > 0.85
+    assert f1 > 0.93
 
 
 @given(shift=st.floats(-1e5, 1e6), bias=st.lists(st.floats(-20.0, 20.0), min_size=N, max_size=N))
@@ -60,23 +61,24 @@ def test_time_shift_and_constant_bias_change_nothing(shift, bias):
     np.testing.assert_allclose(shifted[-1].bias - bias, detect(times, torque, velocities)[0][-1].bias, atol=0.05)
 
 
-@given(height=st.floats(0.0, 0.6), seed=st.integers(0, 1000))
+@given(height=st.floats(0.0, 0.12), seed=st.integers(0, 1000))
 @settings(max_examples=8, deadline=None)
 def test_push_below_the_threshold_is_nothing(height, seed):
-    samples, touches = detect(*pushes([(2.0, 4.0)], [height], seed=seed, noise=0.05)[:3])
+    samples, touches = detect(*pushes([(2.0, 4.0)], [height], seed=seed, noise=0.05)[:3])  # 0.4 in one joint begins one
     assert touches == ()
     assert max(s.level for s in samples) < 1.0
 
 
 def test_moving_arm_needs_more_torque_than_a_still_one():
-    times, torque, velocities, _ = pushes([(2.0, 3.0)], [1.5])
+    times, torque, velocities, _ = pushes([], [], noise=0.05)
+    torque[500:750, 1] += 0.6 * THRESHOLDS[1]
     assert len(detect(times, torque, velocities)[1]) == 1
     assert detect(times, torque, velocities + 0.4)[1] == ()
     assert len(detect(times, torque, velocities + 0.4, moving_allowance=0.0)[1]) == 1
 
 
 def test_spike_shorter_than_the_delay_is_nothing():
-    times, torque, velocities, _ = pushes([], [])
+    times, torque, velocities, _ = pushes([], [], noise=0.05)
     torque[1000:1004] += 10.0  # 16 ms
     assert detect(times, torque, velocities)[1] == ()
 
@@ -97,6 +99,30 @@ def test_short_and_hard_is_a_collision_and_a_held_one_becomes_a_touch():
     assert {s.kind for s in soft[0]} == {ContactKind.NONE, ContactKind.TOUCH}
 
 
+def test_a_knock_that_is_not_hard_is_nothing_that_is_meant():
+    _, touches = detect(*pushes([(2.0, 2.08)], [3.0], duration=4.0, rate=1000.0, rise=0.03)[:3])
+    assert [t.meant for t in touches] == [False]
+    _, touches = detect(*pushes([(2.0, 2.15)], [3.0], duration=4.0, rate=1000.0, rise=0.03)[:3])
+    assert [t.meant for t in touches] == [True]
+
+
+def test_outermost_joint_that_feels_a_push_gives_the_link():
+    for joint in range(N):
+        times, torque, velocities, _ = pushes([], [], noise=0.02)
+        torque[500:750, :joint + 1] += 1.2 * THRESHOLDS[:joint + 1]
+        samples, touches = detect(times, torque, velocities)
+        assert [t.link for t in touches] == [joint + 1]
+        assert {s.link for s in samples} == {0, joint + 1}
+
+
+def test_residue_of_a_strong_push_does_not_keep_it_alive():
+    times, torque, velocities, _ = pushes([(2.0, 2.5), (3.5, 4.0)], [10.0, 10.0], duration=6.0, noise=0.02)
+    torque[times > 2.5, 4] += 0.35 * THRESHOLDS[4]  # dry friction holds what is left
+    _, touches = detect(times, torque, velocities)
+    assert len(touches) == 2
+    np.testing.assert_allclose([t.end for t in touches], [2.5, 4.0], atol=0.04)
+
+
 def test_bias_that_shifts_does_not_stay_a_contact():
     times, torque, velocities, _ = pushes([(16.0, 17.0)], [4.0], duration=20.0, rate=100.0)
     torque[times > 2.0, 3] -= 3.0
@@ -109,7 +135,7 @@ def test_bias_that_shifts_does_not_stay_a_contact():
 
 def test_slow_drift_is_followed_as_bias():
     times, torque, velocities, _ = pushes([], [], duration=60.0, rate=50.0)
-    torque += 0.05 * times[:, None] * THRESHOLDS  # 3 thresholds in a minute
+    torque += 0.05 * ContactConfig().share * times[:, None] * THRESHOLDS  # 3 times what begins a contact, in a minute
     assert detect(times, torque, velocities)[1] == ()
 
 

@@ -40,6 +40,21 @@ def test_rests_at_the_ends_are_cut_and_the_pause_is_shortened():
         np.testing.assert_allclose(demonstration.positions[-1], positions[-1], atol=0.01)
 
 
+def test_points_on_arc_length_go_through_the_same_path_at_one_speed():
+    times, positions = moves(GUIDED)
+    timed = extract_demonstration(times, positions, NAMES)
+    arc = extract_demonstration(times, positions, NAMES, DemonstrationConfig(spacing="arc"))
+    steps = np.linalg.norm(np.diff(arc.positions, axis=0), axis=1)
+    assert steps.max() < 1.02 * np.median(steps)
+    assert np.linalg.norm(np.diff(timed.positions, axis=0), axis=1).max() > 1.5 * np.median(steps)
+    assert arc.duration == pytest.approx(timed.duration)
+    np.testing.assert_allclose(arc.positions[[0, -1]], timed.positions[[0, -1]], atol=1e-12)
+    apart = np.linalg.norm(arc.positions[:, None] - timed.positions[None], axis=2).min(axis=1)
+    assert apart.max() < 0.01
+    with pytest.raises(ConfigError, match="spacing"):
+        DemonstrationConfig(spacing="path")
+
+
 @given(seed=st.integers(0, 1000), noise=st.floats(0.0, 2e-4), shift=st.floats(-1e4, 1e6))
 @settings(max_examples=20, deadline=None)
 def test_time_shift_and_encoder_noise_change_nothing(seed, noise, shift):

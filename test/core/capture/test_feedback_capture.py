@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from unifeed_ros.core.capture.contact import ContactKind, ContactSample
+from unifeed_ros.core.capture.contact import ContactSample
+from unifeed_ros.core.capture.contact_config import ContactKind
 from unifeed_ros.core.capture.feedback_capture import (
     CaptureConfig,
     CapturedCorrections,
@@ -131,6 +132,24 @@ def test_untouched_run_gives_nothing(session, motion):
     assert (captured.touched, captured.corrections, captured.reason) == (False, (), "")
 
 
+def test_whole_run_is_kept_with_its_spans_inside(panda, session, motion):
+    captured = play_tracked(session, motion, pushes=[(0.5, 1.2), (2.0, 2.5)])
+    run = captured.run
+    assert run.times[-1] - run.times[0] == pytest.approx(motion.duration, abs=0.05)
+    began = run.times[0]
+    tagged = np.zeros(len(run.times), dtype=bool)
+    for span, push in zip(captured.corrections, ((0.5, 1.2), (2.0, 2.5)), strict=True):
+        assert span.interval == pytest.approx((began + push[0] - 0.1, began + push[1]), abs=0.02)
+        tagged |= (run.times >= span.interval[0]) & (run.times <= span.interval[1])
+    assert tagged[run.in_contact].all()
+    thin = run.thinned(50.0)
+    assert len(thin.times) == pytest.approx(50.0 * motion.duration, abs=3)
+    np.testing.assert_array_equal(thin.times[[0, -1]], run.times[[0, -1]])
+    assert thin.in_contact.mean() == pytest.approx(run.in_contact.mean(), abs=0.03)
+    untouched = play_tracked(Session(panda), motion)
+    assert untouched.run is not None and not untouched.run.in_contact.any()
+
+
 def test_touch_that_changed_nothing_says_so(session, motion):
     captured = play_tracked(session, motion, pushes=[(0.5, 1.0)], size=0.02)
     assert captured.touched
@@ -141,6 +160,15 @@ def test_touch_that_changed_nothing_says_so(session, motion):
 def test_collision_teaches_nothing(session, motion):
     captured = play_tracked(session, motion, pushes=[(0.5, 0.7)], kind=ContactKind.COLLISION)
     assert (captured.touched, captured.corrections) == (False, ())
+
+
+def test_touch_during_which_the_arm_stopped_teaches_nothing_but_earlier_ones_do(session, motion):
+    session.capture.observe_trajectory("m", motion)
+    session.play(TeachingMode.TRACK, 2.5, motion_id="m", motion=motion, pushes=[(0.5, 1.2), (2.0, 9.9)])
+    session.play(TeachingMode.STOPPED, 0.1)
+    [captured] = session.captured
+    assert [c.span for c in captured.corrections] == [pytest.approx((0.4, 1.2), abs=0.02)]
+    assert not captured.run.in_contact[captured.run.times > captured.run.times[0] + 1.9].any()
 
 
 def test_push_held_to_the_end_ends_with_the_run(session, motion):

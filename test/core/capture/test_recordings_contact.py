@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from unifeed_ros.core.capture.contact import ContactConfig, ContactDetector
+from unifeed_ros.core.capture.contact import ContactDetector
+from unifeed_ros.core.capture.contact_config import ContactConfig
 from unifeed_ros.core.capture.external import by_name
 from unifeed_ros.core.capture.touches import inside_any, judge_recording
 from unifeed_ros.core.errors import InputError
@@ -18,24 +19,28 @@ def test_every_press_on_links_4_to_7_is_one_touch(recording, figures, name):
     found = figures.press_figures(recording("panda_push_labels_mindlab", f"{name}.npz"))
     assert found.presses in (15, 16)
     assert (found.found, found.touches, found.false_touches) == (found.presses, found.presses, 0)
-    assert found.true_rate > 0.75
-    assert found.false_rate < 0.30  # torque fades for 0.1 to 0.2 s after the label, and a touch ends 0.1 s later
+    assert found.true_rate > 0.82
+    assert found.false_rate < 0.12  # torque fades for 0.1 to 0.2 s after the label
     assert found.false_rate_beyond_tail < 0.01
-    assert found.median_delay_s < 0.12
+    assert found.median_delay_s < 0.085
 
 
-@pytest.mark.parametrize("name", LINKS_4_TO_7)
-def test_thresholds_of_the_shipped_panda_find_them_too(recording, figures, panda, name):
+def test_these_are_the_thresholds_of_the_shipped_panda(figures, panda):
+    assert tuple(panda.config.contact_thresholds) == figures.PANDA_THRESHOLDS
+
+
+@pytest.mark.parametrize(("name", "links"), [("f2", {2}), ("d3", {3, 4}), ("c6", {3, 4, 5}), ("b8", {4, 5, 6})])
+def test_link_that_felt_a_press_is_never_beyond_the_one_that_was_pressed(recording, name, links):
     data = recording("panda_push_labels_mindlab", f"{name}.npz")
-    found = figures.press_figures(data, panda.config.contact_thresholds)
-    assert (found.found, found.false_touches) == (found.presses, 0)
-    assert found.true_rate > 0.65
+    _, touches = judge_recording(ContactDetector((3.0, 3.0, 3.0, 2.5, 1.5, 1.5, 1.0)), data["t"] - data["t"][0],
+                                 data["tau_ext"], data["dq"])
+    assert {t.link for t in touches} <= links
 
 
 def test_presses_on_link_2_show_in_one_joint_and_are_found(recording, figures):
     found = figures.press_figures(recording("panda_push_labels_mindlab", "f2.npz"))
     assert (found.presses, found.found, found.false_touches) == (16, 16, 0)
-    assert found.true_rate > 0.5
+    assert found.true_rate > 0.75
     assert found.false_rate_beyond_tail < 0.01
 
 
@@ -50,12 +55,12 @@ def test_touches_do_not_depend_on_the_sensors_offset(recording, name):
 
 
 @pytest.mark.parametrize("name", ["run_162545", "run_162853"])
-def test_free_motion_is_no_touch_but_would_be_without_the_moving_allowance(recording, figures, name):
+def test_free_motion_is_no_touch_and_the_moving_allowance_helps(recording, figures, name):
     data = recording("fr3_follower_1khz", f"{name}.npz")
     touches, level, fixed = figures.free_figures(data)
     assert touches == 0
-    assert level < 0.8
-    assert fixed > 1.0
+    assert level < 0.85
+    assert fixed > 1.1 * level
 
 
 @pytest.mark.parametrize("name", ["run_162545", "run_162853"])
@@ -66,7 +71,7 @@ def test_free_motion_with_a_push_added_is_a_touch_where_the_push_is(recording, f
     torque[:, 1] += 8.0 * np.clip(np.minimum((times - 2.0) / 0.1, (2.8 - times) / 0.1), 0.0, 1.0)
     _, touches = judge_recording(ContactDetector(figures.PANDA_THRESHOLDS), times, torque, data["dq"])
     assert len(touches) == 1
-    assert (touches[0].onset, touches[0].end) == pytest.approx((2.05, 2.9), abs=0.12)
+    assert (touches[0].onset, touches[0].end) == pytest.approx((2.0, 2.8), abs=0.06)
 
 
 @pytest.mark.parametrize("person", [f"P{k}" for k in range(6)])
@@ -120,7 +125,8 @@ def test_pushes_of_the_ur10e_tool_are_touches_and_taps_are_not(recording_path, f
 
 
 def test_taps_of_the_ur10e_tool_show_where_the_delay_is_short(recording_path, figures):
-    touches = figures.wrench_touches(*read_wrench(recording_path, figures, "wrench_pushes_ros2"), on_delay=0.002)
+    touches = figures.wrench_touches(*read_wrench(recording_path, figures, "wrench_pushes_ros2"), on_delay=0.002,
+                                    smooth_time=0.002)
     late = np.array([t.onset for t in touches if t.onset > 13.0])
     for tap in (15.8, 21.1, 24.3, 27.4, 31.7):
         assert np.abs(late - tap).min() < 0.1
@@ -130,7 +136,8 @@ def test_taps_of_the_ur10e_tool_show_where_the_delay_is_short(recording_path, fi
 
 def test_twists_of_the_ur10e_tool_are_found(recording_path, figures):
     touches = figures.wrench_touches(*read_wrench(recording_path, figures, "wrench_twist_ros2"))
-    np.testing.assert_allclose([t.onset for t in touches], [3.2, 6.1, 9.4, 11.7], atol=0.2)
+    early = np.array([3.2, 6.1, 9.4, 11.7]) - [t.onset for t in touches]  # the page's times: when 1 Nm is passed
+    assert (early > -0.05).all() and (early < 0.3).all()
 
 
 def test_two_publishers_on_one_topic_are_told_apart_by_name(recording_path, figures):

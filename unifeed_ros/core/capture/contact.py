@@ -5,73 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from unifeed_ros.core.capture.contact_config import ContactConfig, ContactKind
+from unifeed_ros.core.capture.edges import EdgeFinder
+from unifeed_ros.core.capture.untouched import UntouchedModel
 from unifeed_ros.core.errors import ConfigError, InputError, ShapeError
+from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, frozen_array
 
 RISE_TIME = 0.03
 """Time constant of the filter that the rise of the level is taken from [s]."""
-
-
-class ContactKind(IntEnum):
-    """What a contact is, as numbers that the message Contact uses too."""
-
-    NONE = 0
-    """No touch."""
-    TOUCH = 1
-    """A touch that is meant."""
-    COLLISION = 2
-    """Short and hard: never learned from."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContactConfig:
-    """Settings of the contact detector."""
-
-    startup: float = 0.3
-    """Time at the start over which the bias is the median; no contact is reported before its end [s]."""
-    bias_time: float = 8.0
-    """Time constant with which the bias follows while nobody touches [s]."""
-    bias_step: float = 0.5
-    """Part of a threshold that one sample counts for at most when the bias follows: a push hardly enters [1]."""
-    release_level: float = 0.5
-    """Level below which a contact ends; contacts begin above 1 [1]."""
-    on_delay: float = 0.02
-    """Time that the level must stay above 1 before a contact begins; its onset is the first of these samples [s]."""
-    off_delay: float = 0.1
-    """Time that the level must stay below the release level before a contact ends [s]."""
-    moving_allowance: float = 0.75
-    """Rise of all thresholds while the arm moves, as a part of them: friction is known less well then [1]."""
-    moving_speed: float = 0.1
-    """Speed of the fastest joint at which the whole moving allowance holds [rad/s]."""
-    moving_memory: float = 0.3
-    """Time constant with which the moving allowance fades after a motion [s]."""
-    steady_time: float = 6.0
-    """A contact whose torque stays the same for so long is a shifted bias; it ends and the bias is set anew [s]."""
-    steady_band: float = 0.5
-    """Part of a threshold within which a torque counts as the same [1]."""
-    collision_rate: float = 80.0
-    """Rise of the level above which a contact begins as a collision [1/s]."""
-    collision_time: float = 0.25
-    """A collision that still presses after this time becomes a touch [s]."""
-    gap: float = 0.5
-    """Longest step between samples that delays are counted across; stamps that go back by more begin anew [s]."""
-
-    def __post_init__(self) -> None:
-        """Reject settings that would make the detector silent or stuck."""
-        for name in ("startup", "bias_time", "bias_step", "moving_speed", "moving_memory", "steady_time", "steady_band",
-                     "collision_rate", "gap"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                raise ConfigError(name, expected="> 0 and finite", got=getattr(self, name))
-        for name in ("on_delay", "off_delay", "moving_allowance", "collision_time"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise ConfigError(name, expected=">= 0 and finite", got=getattr(self, name))
-        if not 0.0 < self.release_level <= 1.0:
-            raise ConfigError("release_level", expected="above 0, at most 1", got=self.release_level)
+STILL_THERE = 0.8
+"""Level of the torque itself, not smoothed, below which a push is gone already [1]."""
+LOOK_PERIOD = 0.01
+"""Time between two looks at what an untouched arm would show [s]: a fast arm turns by half a degree meanwhile."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,21 +35,30 @@ class ContactSample:
     kind: ContactKind
     """NONE, TOUCH or COLLISION."""
     onset: float | None
-    """Stamp of the first sample of this contact [s]; None when there is none."""
+    """When this contact began, found again in the moments before it was sure [s]; None when there is none."""
+    release: float | None = None
+    """When the last contact let go, found again in the moments before that was sure [s]; None while there is one."""
+    link: int = 0
+    """Outermost link that surely felt this contact; 1 is moved by the first joint; 0 when there is none."""
     level: float
-    """Largest bias-free torque over the joints, each divided by its threshold of the moment [1]."""
+    """Bias-free torque of all joints together, each divided by its threshold of the moment [1]."""
     torque: Array
     """External torque without bias, shape (n,) [Nm]."""
     bias: Array
-    """Bias taken off, shape (n,) [Nm]."""
+    """Bias taken off: what an untouched arm would show, shape (n,) [Nm]."""
 
 
 class ContactDetector:
     """Tell touched from untouched, sample by sample.
 
-    The bias b is the median torque of the first moments, then follows slowly while nobody touches. The level is
-    max_j |tau_j - b_j| / threshold_j, divided by 1 + moving_allowance while the arm moves. Levels above 1 begin a
-    contact, levels below the release level end it, both only after a delay.
+    What an untouched arm would show is the median of the first moments, then follows while nobody touches
+    (UntouchedModel: bias, friction and payload error). What is left, tau, is smoothed and divided by each joint's
+    threshold of the moment,
+
+        level = | tau_j / (share threshold_j (1 + moving_allowance) + doubt_factor doubt_j) |  (Euclidean norm),
+
+    the allowance while the arm moves, the doubt while the model is not sure yet. Levels above 1 begin a contact, levels
+    below the release level end it, both only after a delay; when it began and let go is then found in a ring buffer.
 
     Known weakness: who touches the arm during the start is taken for bias; it shows as a contact after they let go, and
     ends when the torque has been steady. A push that grows over more than a few bias_time is followed as bias.
@@ -107,34 +66,41 @@ class ContactDetector:
     Args:
         thresholds: External torque that counts as a touch of the arm at rest, shape (n,) [Nm], positive.
         config: Settings.
+        robot: The arm, so that a payload that its driver does not know is told from a push; it needs positions too.
 
     Raises:
         ConfigError: A threshold is not positive.
     """
 
-    def __init__(self, thresholds: Sequence[float] | Array, config: ContactConfig | None = None) -> None:
+    def __init__(self, thresholds: Sequence[float] | Array, config: ContactConfig | None = None,
+                 robot: RobotModel | None = None) -> None:
         self._thresholds = frozen_array("contact thresholds", thresholds, (None,))
         if len(self._thresholds) == 0 or self._thresholds.min() <= 0.0:
             raise ConfigError("contact thresholds", expected="> 0 Nm, one a joint", got=self._thresholds.tolist())
         self._config = config or ContactConfig()
         self._n = len(self._thresholds)
         self._inverse = 1.0 / self._thresholds
-        self._step = self._config.bias_step * self._thresholds
+        self._untouched = UntouchedModel(self._thresholds, self._config.untouched, robot)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything: the next sample is the first."""
+        self._untouched.reset()
         self._first_samples: list[Array] = []
         self._start: float | None = None
-        self._bias = np.zeros(self._n)
         self._ready = False
-        self._speed = 0.0
-        self._slow_level = self._rate = 0.0
+        self._looked = self._speed = 0.0
+        self._smooth = self._sum = self._peak = np.zeros(self._n)
+        self._summed = self._highest = self._slow_level = self._quick_level = self._rate = 0.0
+        self._edges = EdgeFinder()
         self._above_since: float | None = None
         self._below_since: float | None = None
+        self._calm_since: float | None = None
+        self._fell: float | None = None
         self._onset: float | None = None
+        self._release: float | None = None
         self._hard = False
-        self._steady_torque, self._steady_since = self._bias, 0.0
+        self._steady_torque, self._steady_since = self._smooth, 0.0
         self._last: ContactSample | None = None
 
     @property
@@ -142,7 +108,13 @@ class ContactDetector:
         """True once the bias is known."""
         return self._ready
 
-    def update(self, time: float, torque: ArrayLike, velocities: ArrayLike) -> ContactSample:
+    @property
+    def payload(self) -> float:
+        """Payload that the arm's driver does not know, as far as it was found [kg]; 0 without a robot."""
+        return self._untouched.payload
+
+    def update(self, time: float, torque: ArrayLike, velocities: ArrayLike,
+               positions: Array | None = None) -> ContactSample:
         """Judge one sample.
 
         A sample whose stamp is not later than the one before is skipped: the answer is the last one again. A stamp that
@@ -153,6 +125,7 @@ class ContactDetector:
             time: Stamp [s].
             torque: External torque, bias included, shape (n,) [Nm].
             velocities: Joint velocities, shape (n,) [rad/s].
+            positions: Joint positions, shape (n,) [rad], finite; None if they are not known.
 
         Returns:
             The judgement; its arrays never change later.
@@ -161,7 +134,7 @@ class ContactDetector:
             ShapeError: Another number of torques or velocities.
             InputError: The stamp, a torque or a velocity is not finite; the detector is as it was before.
         """
-        torque, speed = self._checked(time, torque, velocities)
+        torque, velocities = self._checked(time, torque, velocities)
         if self._last is not None and time < self._last.time - self._config.gap:
             self.reset()
         last = self._last
@@ -169,99 +142,121 @@ class ContactDetector:
             return last
         step = 0.0 if last is None else time - last.time
         if step > self._config.gap:
-            self._above_since = self._below_since = None
+            self._above_since = self._below_since = self._calm_since = None
             self._steady_since = time
             step = self._config.gap
         if not self._ready:
-            return self._start_up(time, torque)
-        free = torque - self._bias
-        level = self._level(free, speed, step)
-        self._judge(time, torque, level)
-        if self._onset is None:
-            self._follow(free, step)
-        return self._answer(time, level, free)
+            return self._start_up(time, torque, velocities, positions)
+        if time - self._looked >= LOOK_PERIOD:
+            self._follow()
+            self._untouched.look(time, positions, velocities)
+            self._looked = time
+        free = torque - self._untouched.torque
+        self._sum, self._summed = self._sum + step * free, self._summed + step
+        level = self._level(time, free, max(float(velocities.max()), -float(velocities.min())), step)
+        (self._judge_free if self._onset is None else self._judge_touched)(time, level)
+        return self._answer(time, level, free, self._untouched.torque)
 
-    def _checked(self, time: float, torque: ArrayLike, velocities: ArrayLike) -> tuple[Array, float]:
+    def _checked(self, time: float, torque: ArrayLike, velocities: ArrayLike) -> tuple[Array, Array]:
         torque = np.array(torque, dtype=np.float64)
         velocities = np.asarray(velocities, dtype=np.float64)
         if torque.shape != (self._n,) or velocities.shape != (self._n,):
             raise ShapeError("shapes of torque and velocities", expected=f"({self._n},)",
                              got=(torque.shape, velocities.shape))
-        speed = max(float(velocities.max()), -float(velocities.min()))
-        if not math.isfinite(time + float(torque.sum()) + speed):
+        if not math.isfinite(time + float(torque.sum()) + float(velocities.sum())):
             raise InputError("contact sample is not finite", expected="numbers",
                              got=f"time {time}, torque {torque.tolist()}, velocities {velocities.tolist()}")
-        return torque, speed
+        return torque, velocities
 
-    def _start_up(self, time: float, torque: Array) -> ContactSample:
+    def _start_up(self, time: float, torque: Array, velocities: Array, positions: Array | None) -> ContactSample:
         if self._start is None:
             self._start = time
         self._first_samples.append(torque)
+        bias = torque
         if time - self._start >= self._config.startup:
-            self._ready = True
-        self._bias = np.median(self._first_samples, axis=0) if self._ready else torque
-        if self._ready:
-            self._first_samples = []
-        return self._answer(time, 0.0, torque - self._bias)
+            self._untouched.look(time, positions, velocities)
+            self._untouched.learn(np.median(self._first_samples, axis=0), self._config.startup, clipped=False)
+            self._untouched.look(time, positions, velocities)
+            self._ready, self._first_samples, self._looked = True, [], time
+            bias = self._untouched.torque
+        return self._answer(time, 0.0, torque - bias, bias)
 
-    def _level(self, free: Array, speed: float, step: float) -> float:
+    def _level(self, time: float, free: Array, speed: float, step: float) -> float:
         config = self._config
         self._speed = max(speed, self._speed / (1.0 + step / config.moving_memory))
-        scaled = free * self._inverse
-        level = max(float(scaled.max()), -float(scaled.min()))
-        level /= 1.0 + config.moving_allowance * min(1.0, self._speed / config.moving_speed)
-        self._rate = (level - self._slow_level) / RISE_TIME
-        self._slow_level += (level - self._slow_level) * min(1.0, step / RISE_TIME)
+        allowance = 1.0 + config.moving_allowance * min(1.0, self._speed / config.moving_speed)
+        scale = (config.share * allowance) * self._thresholds + config.doubt_factor * self._untouched.doubt
+        self._smooth = self._smooth + (free - self._smooth) * min(1.0, step / max(config.smooth_time, step))
+        quick, slow = free / scale, self._smooth / scale
+        level, quick_level = math.sqrt(float(slow @ slow)), math.sqrt(float(quick @ quick))
+        self._quick_level = quick_level
+        self._edges.add(time, quick_level)
+        self._rate = (quick_level - self._slow_level) / RISE_TIME
+        self._slow_level += (quick_level - self._slow_level) * min(1.0, step / RISE_TIME)
         return level
 
-    def _judge(self, time: float, torque: Array, level: float) -> None:
-        if self._onset is None:
-            self._judge_free(time, torque, level)
-        else:
-            self._judge_touched(time, torque, level)
-
-    def _judge_free(self, time: float, torque: Array, level: float) -> None:
+    def _judge_free(self, time: float, level: float) -> None:
         if level <= 1.0:
             self._above_since, self._hard = None, False
             return
         if self._above_since is None:
             self._above_since = time
         self._hard = self._hard or self._rate > self._config.collision_rate
-        if time - self._above_since >= self._config.on_delay:
-            self._onset, self._above_since, self._below_since = self._above_since, None, None
-            self._steady_torque, self._steady_since = torque, time
+        if time - self._above_since >= self._config.on_delay and self._quick_level > STILL_THERE:
+            onset = self._edges.rise(self._above_since)
+            self._onset = onset if self._release is None else max(onset, self._release)
+            self._above_since = self._release = None
+            self._peak, self._highest = np.zeros(self._n), level
+            self._steady_torque, self._steady_since = self._smooth, time
 
-    def _judge_touched(self, time: float, torque: Array, level: float) -> None:
+    def _judge_touched(self, time: float, level: float) -> None:
         config = self._config
         assert self._onset is not None
+        self._highest = max(self._highest, level)
         if time - self._onset <= config.collision_time:
             self._hard = self._hard or self._rate > config.collision_rate
         elif level > 1.0:
             self._hard = False
-        change = np.abs((torque - self._steady_torque) * self._inverse)
+        change = np.abs((self._smooth - self._steady_torque) * self._inverse)
         if float(change.max()) > config.steady_band:
-            self._steady_torque, self._steady_since = torque, time
+            self._steady_torque, self._steady_since = self._smooth, time
         elif time - self._steady_since > config.steady_time:
-            self._bias = torque
-            self._onset, self._hard = None, False
+            self._untouched.shift(self._smooth)
+            self._end(time)
+            self._looked = -math.inf
             return
-        if level >= config.release_level:
-            self._below_since = None
+        if level >= 1.0:
+            self._below_since = self._calm_since = self._fell = None
             return
-        if self._below_since is None:
-            self._below_since = time
-        if time - self._below_since >= config.off_delay:
-            self._onset, self._hard = None, False
+        self._below_since = time if self._below_since is None else self._below_since
+        if self._fell is None and time - self._below_since >= config.off_delay:
+            self._fell = max(self._edges.fall(self._onset, self._below_since), self._onset)
+        calm_level = max(config.release_level, config.fade * self._highest)
+        self._calm_since = None if level >= calm_level else self._calm_since or time
+        calm = self._calm_since is not None and time - self._calm_since >= config.off_delay
+        if self._fell is not None and (calm or time - self._below_since >= config.faint_time):
+            self._end(self._fell)
 
-    def _follow(self, free: Array, step: float) -> None:
-        counted = np.minimum(np.maximum(free, -self._step), self._step)
-        self._bias = self._bias + counted * (step / self._config.bias_time)
+    def _end(self, release: float) -> None:
+        self._onset, self._release, self._hard = None, release, False
+        self._below_since = self._calm_since = self._fell = None
+        self._sum, self._summed = np.zeros(self._n), 0.0
 
-    def _answer(self, time: float, level: float, free: Array) -> ContactSample:
-        touched = self._onset is not None
+    def _follow(self) -> None:
+        """Learn from the samples since the last look, unless somebody touches."""
+        if self._onset is None and self._summed > 0.0:
+            self._untouched.learn(self._sum / self._summed, self._summed)
+        self._sum, self._summed = np.zeros(self._n), 0.0
+
+    def _answer(self, time: float, level: float, free: Array, bias: Array) -> ContactSample:
+        touched, link = self._onset is not None, 0
+        if touched:
+            self._peak = np.maximum(self._peak, np.abs(self._smooth) * self._inverse)
+            felt = np.flatnonzero(self._peak > self._config.link_level * self._config.share)
+            link = int(felt[-1]) + 1 if len(felt) else int(self._peak.argmax()) + 1
         kind = ContactKind.NONE if not touched else ContactKind.COLLISION if self._hard else ContactKind.TOUCH
         free.flags.writeable = False
-        self._bias.flags.writeable = False
-        self._last = ContactSample(time=time, in_contact=touched, kind=kind, onset=self._onset, level=level,
-                                   torque=free, bias=self._bias)
+        bias.flags.writeable = False
+        self._last = ContactSample(time=time, in_contact=touched, kind=kind, onset=self._onset, release=self._release,
+                                   link=link, level=level, torque=free, bias=bias)
         return self._last

@@ -64,6 +64,19 @@ class TrackedRun:
         object.__setattr__(self, "motion_times", frozen_array("motion times", self.motion_times, (len(times),)))
 
 
+    def thinned(self, rate: float) -> TrackedRun:
+        """Leave out samples, so that about so many a second stay; the first and the last are kept.
+
+        Args:
+            rate: Samples a second [Hz].
+        """
+        slots = np.floor((self.times - self.times[0]) * rate + 1e-6)
+        kept = np.concatenate([[True], np.diff(slots) > 0.0])
+        kept[-1] = True
+        return TrackedRun(times=self.times[kept], positions=self.positions[kept], motion_times=self.motion_times[kept],
+                          in_contact=self.in_contact[kept])
+
+
 @dataclass(frozen=True, kw_only=True)
 class CorrectedSpan:
     """A span of a motion during which a person led."""
@@ -76,6 +89,8 @@ class CorrectedSpan:
     """Start and end within the robot's motion [s]."""
     deviation_m: float
     """Largest distance of the tool from where the plan had it at that moment [m]."""
+    interval: tuple[float, float] = (0.0, 0.0)
+    """Stamps of its start and end [s]."""
 
 
 def extract_corrections(run: TrackedRun, planned: Trajectory, robot: RobotModel,
@@ -155,7 +170,7 @@ def _span(run: TrackedRun, planned: Trajectory, robot: RobotModel, interval: tup
         planned=Trajectory(joint_names=robot.joint_names, times=times, positions=meant),
         corrected=Trajectory(joint_names=robot.joint_names, times=times, positions=measured),
         span=(float(motion_times[0]), float(motion_times[-1])),
-        deviation_m=float(np.linalg.norm(apart, axis=1).max()))
+        deviation_m=float(np.linalg.norm(apart, axis=1).max()), interval=(float(stamps[0]), float(stamps[-1])))
 
 
 def _interpolated(stamps: Array, times: Array, positions: Array) -> Array:

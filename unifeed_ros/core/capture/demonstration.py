@@ -25,6 +25,9 @@ class DemonstrationConfig:
     """Rate of the demonstration's points [Hz]."""
     longest_pause: float = 0.5
     """Pauses inside are shortened to this; inf keeps them as they were [s]."""
+    spacing: str = "time"
+    """How points are spaced, and so the way-points that are learned from: "time" keeps the person's speeds, "arc" goes
+    through the path of the joints at one speed."""
     shortest: float = 0.5
     """A demonstration shorter than this is refused [s]."""
 
@@ -33,6 +36,8 @@ class DemonstrationConfig:
         for name in ("rate", "shortest"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ConfigError(name, expected="> 0 and finite", got=getattr(self, name))
+        if self.spacing not in ("time", "arc"):
+            raise ConfigError("spacing", expected="time or arc", got=self.spacing)
         if not self.longest_pause >= self.motion.shortest_pause:
             raise ConfigError("longest_pause", expected=f"at least shortest_pause {self.motion.shortest_pause} s",
                               got=self.longest_pause)
@@ -72,8 +77,29 @@ def extract_demonstration(times: ArrayLike, positions: ArrayLike, joint_names: S
                          got=f"{duration:.2f} s", mend="guide the arm through the whole motion")
     names, inside = tuple(joint_names), slice(first, last + 1)
     moved = Trajectory(joint_names=names, times=retimed[inside] - retimed[first], positions=positions[inside])
+    if config.spacing == "arc":
+        moved = at_one_speed(moved)
     count = max(2, round(duration * config.rate) + 1)
     return Trajectory(joint_names=names, times=np.linspace(0.0, duration, count), positions=moved.resampled(count))
+
+
+def at_one_speed(trajectory: Trajectory) -> Trajectory:
+    """Go through the same path in the same time, at one speed: evenly spaced times are evenly spaced on the path.
+
+    The length of the path is that of all joints together, s = sum |q_k+1 - q_k| [rad]. Points where the arm rests are
+    left out.
+
+    Args:
+        trajectory: A motion in which a joint moves.
+
+    Returns:
+        The motion at one speed.
+    """
+    steps = np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1)
+    kept = np.concatenate([[True], steps > 1e-12])
+    length = np.concatenate([[0.0], np.cumsum(steps)])[kept]
+    return Trajectory(joint_names=trajectory.joint_names, times=trajectory.duration * length / length[-1],
+                      positions=trajectory.positions[kept])
 
 
 def _did_not_move(times: Array, positions: Array, config: MotionConfig) -> InputError:

@@ -1,4 +1,4 @@
-"""Bring what a robot's driver offers into the form that capture needs: values in joint order, torque from a wrench."""
+"""Bring the values of a robot's driver into joint order, by name."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from unifeed_ros.core.errors import InputError
-from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, frozen_array
 
 
@@ -57,25 +56,3 @@ def joint_places(names: Sequence[str], wanted: Sequence[str], what: str = "value
     if missing:
         raise InputError(f"{what} lack joints {', '.join(missing)}", expected=", ".join(wanted), got=", ".join(names))
     return [places[name] for name in wanted]
-
-
-def torque_from_wrench(robot: RobotModel, q: ArrayLike, wrench: ArrayLike) -> Array:
-    """Compute the joint torques that a wrench at the tool causes: tau_ext = J(q)^T F.
-
-    For arms that measure force at the flange instead of torque in the joints. A touch of a link between base and sensor
-    does not show.
-
-    Args:
-        robot: The arm.
-        q: Joint positions, shape (n,) [rad].
-        wrench: Force [N], then torque [Nm], acting on the tool at its origin, axes of the base frame, shape (6,).
-
-    Returns:
-        External joint torques, shape (n,) [Nm].
-
-    Raises:
-        ShapeError: Another number of joints or wrench components.
-        InputError: A value is not finite.
-    """
-    posture = frozen_array("joint positions", q, (robot.n,))
-    return np.asarray(robot.tool_jacobian(posture).T @ frozen_array("wrench", wrench, (6,)))

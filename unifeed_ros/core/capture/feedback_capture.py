@@ -17,6 +17,8 @@ from unifeed_ros.core.modes import TeachingMode
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, RobotState, Trajectory
 
+STOPPING_TIME = 0.2
+"""A touch that lasts until so long before a stop, or longer, may be what caused it [s]."""
 REMEMBERED_MOTIONS = 32
 """Number of trajectories that are kept until the arm tracks them."""
 
@@ -73,6 +75,8 @@ class CapturedCorrections:
     """What the person changed, in order."""
     reason: str
     """Why there is no correction although the arm was touched, or why the run cannot be judged; empty otherwise."""
+    run: TrackedRun | None = None
+    """The whole run, touched or not; None if it is too short to be one."""
 
 
 Captured = CapturedDemonstration | CapturedCorrections
@@ -84,7 +88,8 @@ class FeedbackCapture:
 
     Every observe method only stores; the work (some milliseconds) is done in the observe_teaching call with which a run
     ends. A guided run ends when the mode leaves GUIDE, a tracked run when it leaves TRACK, another motion begins, or
-    the same motion begins anew. Contacts that stay collisions to their end teach nothing.
+    the same motion begins anew. Contacts that stay collisions to their end teach nothing, and nor does a touch during
+    which the arm stopped.
 
     Args:
         robot: The arm.
@@ -155,7 +160,7 @@ class FeedbackCapture:
             if self._mode is TeachingMode.GUIDE and mode is not TeachingMode.GUIDE:
                 captured.append(self._finish_guided(time, mode))
             elif self._mode is TeachingMode.TRACK:
-                captured.append(self._finish_tracked(time))
+                captured.append(self._finish_tracked(time, mode))
             self._begin(time, mode, motion_id)
         if mode is TeachingMode.TRACK and (not self._progress or time > self._progress[-1][0]):
             self._progress.append((time, motion_time))
@@ -186,29 +191,33 @@ class FeedbackCapture:
             return CapturedDemonstration(time=time, trajectory=None, reason=str(error))
         return CapturedDemonstration(time=time, trajectory=trajectory, reason="")
 
-    def _finish_tracked(self, time: float) -> CapturedCorrections:
+    def _finish_tracked(self, time: float, mode: TeachingMode) -> CapturedCorrections:
         times, positions = self._record.stop()
         meant = [t for t in self._log.touches if t.meant and t.end >= self._began and t.onset <= time]
+        if mode is TeachingMode.STOPPED:  # what stopped the arm was a collision or a fault, whatever it felt like here
+            meant = [t for t in meant if t.end < time - STOPPING_TIME]
         corrections: list[CorrectedSpan] = []
-        reason = ""
-        if meant:
-            try:
-                corrections, reason = self._corrections(times, positions, meant, time)
-            except InputError as error:
-                reason = str(error)
+        run, reason = None, ""
+        try:
+            run = self._tracked_run(times, positions, meant, time)
+            if meant:
+                corrections, reason = self._corrections(run)
+        except InputError as error:
+            reason = str(error) if meant else ""
         return CapturedCorrections(time=time, motion_id=self._motion_id, touched=bool(meant),
-                                   corrections=tuple(corrections), reason=reason)
+                                   corrections=tuple(corrections), reason=reason, run=run)
 
-    def _corrections(self, times: Array, positions: Array, meant: list[Touch],
-                     end: float) -> tuple[list[CorrectedSpan], str]:
-        planned = self._trajectories.get(self._motion_id)
-        if planned is None:
-            return [], f"the arm was touched during motion {self._motion_id}, whose trajectory is unknown"
+    def _tracked_run(self, times: Array, positions: Array, meant: list[Touch], end: float) -> TrackedRun:
         kept = (times >= self._began) & (times <= end)
         times = times[kept]
         stamps, progress = np.array(self._progress).T
-        run = TrackedRun(times=times, positions=positions[kept], motion_times=np.interp(times, stamps, progress),
-                         in_contact=inside_any(times, meant))
+        return TrackedRun(times=times, positions=positions[kept], motion_times=np.interp(times, stamps, progress),
+                          in_contact=inside_any(times, meant))
+
+    def _corrections(self, run: TrackedRun) -> tuple[list[CorrectedSpan], str]:
+        planned = self._trajectories.get(self._motion_id)
+        if planned is None:
+            return [], f"the arm was touched during motion {self._motion_id}, whose trajectory is unknown"
         spans = contact_spans(run, planned, self._robot, self._config.correction)
         needed = self._config.correction.smallest_deviation
         corrections = [span for span in spans if span.deviation_m >= needed]

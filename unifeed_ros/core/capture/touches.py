@@ -8,7 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from unifeed_ros.core.capture.contact import ContactDetector, ContactKind, ContactSample
+from unifeed_ros.core.capture.contact import ContactDetector, ContactSample
+from unifeed_ros.core.capture.contact_config import ContactKind
+
+SHORTEST_TOUCH = 0.12
+"""A contact shorter than this is a knock: nobody shows anything in so short a time [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,9 +22,11 @@ class Touch:
     onset: float
     """Stamp of its first sample [s]."""
     end: float
-    """Stamp of its last sample, or of the latest one if it goes on [s]."""
+    """When it let go, or stamp of the latest sample if it goes on [s]."""
     meant: bool
-    """False for a collision that stayed one to its end."""
+    """False for a collision that stayed one to its end, and for a knock."""
+    link: int = 0
+    """Outermost link that surely felt it; 1 is moved by the first joint; 0 if that is not known."""
 
 
 class TouchLog:
@@ -38,6 +44,10 @@ class TouchLog:
     def add(self, sample: ContactSample) -> None:
         """Add the next sample of a detector."""
         if not sample.in_contact or sample.onset is None:
+            if self._going_on and sample.release is not None:
+                last = self._touches[-1]
+                meant = last.meant and sample.release - last.onset >= SHORTEST_TOUCH
+                self._touches[-1] = replace(last, end=sample.release, meant=meant)
             self._going_on = False
             return
         if not self._going_on or self._touches[-1].onset != sample.onset:
@@ -45,7 +55,7 @@ class TouchLog:
             self._going_on = True
         touch = self._touches[-1]
         meant = touch.meant or sample.kind is ContactKind.TOUCH
-        self._touches[-1] = replace(touch, end=sample.time, meant=meant)
+        self._touches[-1] = replace(touch, end=sample.time, meant=meant, link=sample.link)
 
     def forget_ended(self) -> None:
         """Forget all touches but one that goes on."""
