@@ -115,6 +115,6 @@ def test_a_whole_lesson_by_clicks(visitor, start_process, ros_node, spin_until, 
 def check_hosts(browser):
     """Everything that the page fetched came from this machine."""
     sent = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    hosts = {urlsplit(m["params"]["request"]["url"]).hostname for m in sent if m["method"] == "Network.requestWillBeSent"
-             and m["params"]["request"]["url"].startswith(("http", "ws"))}
+    addresses = [m["params"]["request"]["url"] for m in sent if m["method"] == "Network.requestWillBeSent"]
+    hosts = {urlsplit(address).hostname for address in addresses if address.startswith(("http", "ws"))}
     assert hosts == {"127.0.0.1"}

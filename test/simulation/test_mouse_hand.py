@@ -22,7 +22,7 @@ def test_it_pulls_towards_the_place_and_against_speed(panda):
     hand, q = MouseHand(panda, HandConfig(push=0.0)), np.array(panda.config.seed)
     here = panda.tool_pose(q)[0]
     for t in np.arange(0.0, 0.5, 0.01):
-        force = hand.wrench(t, q, here + [0.0, 0.05, 0.0])[:3]
+        force = hand.wrench(t, q, here + np.array([0.0, 0.05, 0.0]))[:3]
     np.testing.assert_allclose(force, [0.0, 15.0, 0.0], atol=1e-6)  # 300 N/m
     moving = q + 0.01 * np.linalg.pinv(panda.tool_jacobian(q)[:3]) @ [0.0, 0.3, 0.0]
     slowed = hand.wrench(0.5, moving, panda.tool_pose(moving)[0])[:3]

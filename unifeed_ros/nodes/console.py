@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -44,7 +44,10 @@ from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
 from unifeed_ros.nodes.topics import find_topic
 from unifeed_ros.simulation.mouse_hand import MouseHand
-from unifeed_ros.simulation.tasks import TrueTask, Yardstick, measure
+
+if TYPE_CHECKING:
+    from unifeed_ros.core.scene import Scene
+    from unifeed_ros.simulation.tasks import Yardstick
 
 DRAW_PERIOD, VIEW_PERIOD = 0.03, 0.1
 """Time between two postures, and between two looks of the widgets [s]."""
@@ -102,7 +105,7 @@ class ConsoleNode(UnifeedNode):
             pullable=self._config.pullable)
         self._connect()
         if self._config.true_reward:
-            threading.Thread(target=self._measure, args=(TrueTask(scene=scene),), daemon=True).start()
+            threading.Thread(target=self._measure, args=(scene,), daemon=True).start()
         self.say(OK, f"teaching page: {self._page.address}", address=self._page.address)
 
     def _connect(self) -> None:
@@ -238,8 +241,10 @@ class ConsoleNode(UnifeedNode):
             self._rates = {name: (count / elapsed, find_topic(name).rate) for name, count in self._counts.items()}
             self._counts, self._counted = dict.fromkeys(COUNTED, 0), time.monotonic()
 
-    def _measure(self, task: TrueTask) -> None:
-        self._yardstick = measure(self._robot, task)
+    def _measure(self, scene: Scene) -> None:
+        from unifeed_ros.simulation.tasks import TrueTask, measure  # the planner is not needed where a person teaches
+
+        self._yardstick = measure(self.load_robot(), TrueTask(scene=scene))
 
     def _regrets(self) -> tuple[float, ...]:
         if self._yardstick is None:
