@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import time
@@ -38,7 +39,9 @@ def open_browser(profile, size=(1280, 943)):
     for flag in (*FLAGS, f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}"):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"performance": "ALL"})
-    return webdriver.Chrome(options=options, service=Service(DRIVER))
+    browser = webdriver.Chrome(options=options, service=Service(DRIVER))
+    browser.set_script_timeout(PATIENCE_S)
+    return browser
 
 
 class Visitor:
@@ -54,10 +57,13 @@ class Visitor:
         self._taken = 0
 
     def look(self, name):
+        from selenium.common.exceptions import TimeoutException
+
         if self._pictures is not None:
             self._pictures.mkdir(parents=True, exist_ok=True)
             self._taken += 1
-            self.browser.save_screenshot(str(self._pictures / f"{self._taken:02d}-{name}.png"))
+            with contextlib.suppress(TimeoutException):  # a picture that comes too late is missing, and no failure
+                self.browser.save_screenshot(str(self._pictures / f"{self._taken:02d}-{name}.png"))
 
     def wait(self, happened, what):
         end = time.monotonic() + PATIENCE_S
@@ -90,6 +96,16 @@ class Visitor:
     def can_press(self, text):
         button = self.button(text)
         return button is not None and button.is_enabled()
+
+    def get_ready(self):
+        """Wait until the robot is ready, and go back to the start after a stop, as the page asks for."""
+        def ready():
+            if self.can_press("Back to start") and "Back to start" in self.request():
+                self.press("Back to start")
+                time.sleep(2.0)
+            return self.can_press("Show a motion")
+
+        self.wait(ready, "ready")
 
     def press(self, text):
         self.wait(lambda: self.can_press(text), f"button {text!r}")

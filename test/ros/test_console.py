@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import signal
-import socket
 import sys
+import threading
 import time
 import urllib.error
 import urllib.request
@@ -20,11 +20,16 @@ from geometry_msgs.msg import WrenchStamped
 from std_srvs.srv import Trigger
 
 sys.path.insert(0, str(Path(__file__).parent))
+from page_client import PageClient
 from session_helpers import session_files, start_session
 
 from unifeed_msgs.msg import LessonState, TeachingState
+from unifeed_msgs.srv import ListFeedback
 from unifeed_ros.console.state import KINDS, Phase
+from unifeed_ros.core.robot import RobotModel, load_robot
+from unifeed_ros.core.scene import load_scene
 from unifeed_ros.nodes.topics import publisher_qos, subscriber_qos
+from unifeed_ros.resources import config_path
 
 
 def test_phases_are_those_of_the_message():
@@ -92,38 +97,83 @@ def test_other_machines_need_the_token_for_page_and_connection(start_node, spin_
     assert asyncio.run(connect(bare, Cookie=cookie, Origin="http://evil.example")) == 403
 
 
-@pytest.mark.timeout(240)
-def test_a_session_goes_on_without_its_console(start_node, ros_node, spin_until, values, call):
-    processes = start_session(start_node, console=True, console_parameters={"port": 0})
-    lesson, teaching = LessonState(), TeachingState()
+class Watcher:
+    """Listens to a session."""
 
-    def on_lesson(msg):
-        nonlocal lesson
-        lesson = msg
+    def __init__(self, node, spin_until):
+        self.lesson, self.teaching, self.spin_until = LessonState(), TeachingState(), spin_until
+        node.create_subscription(LessonState, "lesson_state", self._on_lesson, subscriber_qos("lesson_state"))
+        node.create_subscription(TeachingState, "teaching_state", self._on_teaching, subscriber_qos("teaching_state"))
 
-    def on_teaching(msg):
-        nonlocal teaching
-        teaching = msg
+    def _on_lesson(self, msg):
+        self.lesson = msg
 
-    ros_node.create_subscription(LessonState, "lesson_state", on_lesson, subscriber_qos("lesson_state"))
-    ros_node.create_subscription(TeachingState, "teaching_state", on_teaching, subscriber_qos("teaching_state"))
-    spin_until(lambda: lesson.phase == LessonState.READY and "address" in values, STARTUP_S, lambda: lesson.message)
-    check_this_machine_only(values["address"])
-    wrenches = []
+    def _on_teaching(self, msg):
+        self.teaching = msg
+
+    def wait(self, condition, timeout=60.0):
+        self.spin_until(condition, timeout, lambda: f"(lesson: {self.lesson.message})")
+
+    def spin(self, duration):
+        end = time.monotonic() + duration
+        self.wait(lambda: time.monotonic() > end)
+
+
+@pytest.mark.timeout(300)
+def test_a_person_teaches_from_one_page_while_another_watches(start_node, ros_node, spin_until, values, call):
+    processes = start_session(start_node, console=True, console_parameters={"port": 0, "coarse": True})
+    session, wrenches = Watcher(ros_node, spin_until), []
     ros_node.create_subscription(WrenchStamped, "hand_wrench", wrenches.append, subscriber_qos("hand_wrench"))
-    with socket.create_connection(("127.0.0.1", int(values["address"].rsplit(":", 1)[1].rstrip("/")))):
-        pass  # a connection that says nothing and goes away
-    end = time.monotonic() + 1.0
-    spin_until(lambda: time.monotonic() > end, 5.0)
+    session.wait(lambda: session.lesson.phase == LessonState.READY and "address" in values, STARTUP_S)
+    check_this_machine_only(values["address"])
+    first, second = PageClient(values["address"]), PageClient(values["address"])
+    session.wait(lambda: first.can_press("Show a motion") and "You are watching" in second.text())
     assert not wrenches  # the hand is open until somebody pulls
-    here = np.asarray(teaching.positions)
+
+    second.press("Show a motion")  # a page that watches gives no command, whatever it sends
+    session.wait(lambda: any("Another page has control" in note for note in second.notes))
+    assert session.lesson.phase == LessonState.READY
+    first.press("I have finished")  # nor does one in control, at the wrong time
+    session.wait(lambda: any("Not now" in note for note in first.notes))
+
+    first.press("Show a motion")
+    session.wait(lambda: session.teaching.mode == TeachingState.GUIDE)
+    robot, scene = RobotModel(load_robot(config_path("robots", "panda"))), load_scene(config_path("tasks", "table"))
+    tool = robot.tool_pose(np.asarray(session.teaching.positions))[0]
+    way = np.linspace(tool, [*scene.goal[:2], 0.3], 30)
+    second.pull(way[:3])
+    assert not wrenches
+    pulling = threading.Thread(target=first.pull, args=(way, 0.1))
+    pulling.start()
+    session.wait(lambda: not pulling.is_alive())
+    session.spin(1.0)
+    assert len(wrenches) > 20 and wrenches[-1].wrench.force.x == 0.0, processes["console"].output  # the mouse let go
+    assert max(np.hypot(w.wrench.force.x, w.wrench.force.y) for w in wrenches) > 5.0
+    moved = robot.tool_pose(np.asarray(session.teaching.positions))[0]
+    assert np.linalg.norm(moved - tool) > 0.2 and first.moves > 30
+    first.press("I have finished")
+    session.wait(lambda: session.lesson.phase == LessonState.SHOWING)
+    session.wait(lambda: "You showed a motion" in first.text() and "You showed a motion" in second.text())
+
+    second.press("STOP")  # what ends motion is open to every page
+    session.wait(lambda: session.teaching.mode == TeachingState.STOPPED)
+    session.wait(lambda: session.lesson.phase == LessonState.FAULT and first.can_press("Discard the last") is False)
+    first.close()  # the page in control goes away: nothing moves, the other one may go on
+    session.wait(lambda: "You teach from this page" in second.text() and second.can_press("Back to start"))
+    second.press("Back to start")
+    session.wait(lambda: session.lesson.phase == LessonState.READY and second.can_press("Discard the last"))
+    second.press("Discard the last")
+    session.wait(lambda: call(ListFeedback, "list_feedback").ids == [])
+    session.wait(lambda: second.can_press("Give it back"))
+    second.press("Give it back")
+    session.wait(lambda: call(ListFeedback, "list_feedback").ids == ["demonstration-1"])
+
+    here = np.asarray(session.teaching.positions)
     processes["console"].send(signal.SIGKILL)
-    end = time.monotonic() + 1.0
-    spin_until(lambda: time.monotonic() > end, 5.0)
-    assert lesson.phase == LessonState.READY
-    assert np.abs(np.asarray(teaching.positions) - here).max() < 0.05
-    assert call(Trigger, "start_demonstration").success
-    assert call(Trigger, "pause").success
+    session.spin(1.0)
+    assert session.lesson.phase == LessonState.READY
+    assert np.abs(np.asarray(session.teaching.positions) - here).max() < 0.05
+    assert call(Trigger, "start_demonstration").success and call(Trigger, "pause").success
 
 
 def check_this_machine_only(address):

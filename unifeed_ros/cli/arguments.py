@@ -128,9 +128,11 @@ def add_console_options(parser: argparse.ArgumentParser) -> None:
                         help="address that the page listens on; other machines need a token (default: 127.0.0.1)")
     parser.add_argument("--console-port", type=int, default=8080, metavar="PORT",
                         help="port of the page; the next free one is taken (default: 8080)")
+    parser.add_argument("--console-coarse", action="store_true",
+                        help="draw the arm coarsely, for tablets and machines without a graphics card")
 
 
-def console_parameters(options: argparse.Namespace) -> Mapping[str, str | int]:
+def console_parameters(options: argparse.Namespace) -> Mapping[str, str | int | bool]:
     """Read the options of the teaching page.
 
     Args:
@@ -144,4 +146,4 @@ def console_parameters(options: argparse.Namespace) -> Mapping[str, str | int]:
     """
     if not 0 <= options.console_port <= 65535:
         raise UserMistake("--console-port", expected="0 to 65535", got=options.console_port)
-    return {"host": options.console_host, "port": options.console_port}
+    return {"host": options.console_host, "port": options.console_port, "coarse": options.console_coarse}

@@ -51,13 +51,14 @@ class TeachingPage:
         port: Port to listen on; the next free one is taken.
         token: Token that a page must show; empty: one is chosen where other machines could reach the page.
         pullable: True if the mouse may pull the arm's hand.
+        coarse: True: coarse meshes and no shadows.
 
     Raises:
         ConfigError: The address cannot be listened on, or the URDF lacks a mesh.
     """
 
     def __init__(self, robot: RobotModel, scene: Scene, teacher: Teacher, *, host: str, port: int, token: str,
-                 pullable: bool) -> None:
+                 pullable: bool, coarse: bool = False) -> None:
         self._context, self._scene_of_task, self._teacher = scene.context(), scene, teacher
         self.token = choose_token(host, token)
         with guarded(Gate(self.token, local=is_loopback(host))):
@@ -73,7 +74,7 @@ class TeachingPage:
         self._options: dict[str, DrawnMotion] = {}
         self._model: RewardEnsemble | None = None
         self._drawn_look: tuple[object, ...] = ()
-        self._scene = LessonScene(self._server, robot, scene, pullable=pullable)
+        self._scene = LessonScene(self._server, robot, scene, pullable=pullable, coarse=coarse)
         self._scene.on_pull(self._on_pull)
         self._panel = LessonPanel(self._server, self._on_press, scene.floor)
         self._server.on_client_connect(self._on_open)

@@ -16,7 +16,7 @@ from unifeed_ros.core.scene import Scene
 from unifeed_ros.core.types import Array
 from unifeed_ros.core.zones import Zone
 
-CAMERA, LOOK_AT, FIELD_OF_VIEW = (1.75, 1.05, 1.15), (0.33, -0.08, 0.2), 0.85
+CAMERA, LOOK_AT, FIELD_OF_VIEW = (1.8, 1.1, 1.35), (0.5, 0.02, 0.02), 1.0
 """First view: across the way from start to goal [m], [m], [rad]."""
 GRIP_RADIUS = 0.055
 """Radius of the ball at the hand [m]."""
@@ -25,6 +25,8 @@ TABLE_SIZE, TABLE_THICKNESS = (1.3, 1.5), 0.04
 SLICE_LOW, SLICE_HIGH = (0.1, -0.7), (0.9, 0.7)
 """Smallest and largest x and y of the slice of the reward [m]."""
 WOOD, INK, GREEN, YELLOW, GREY = (214, 190, 160), (60, 64, 72), (0, 135, 90), (245, 190, 0), (120, 124, 130)
+SMALLEST_MOVE = 5e-4
+"""Smallest motion of a joint that is drawn [rad]."""
 UPWARD = 1e-3
 """Space between surfaces that would flicker on each other [m]."""
 
@@ -37,21 +39,27 @@ class LessonScene:
         robot: The arm.
         scene: The task.
         pullable: True if the mouse may pull the arm's hand.
+        coarse: True: coarse meshes and no shadows, for machines without a graphics card.
     """
 
-    def __init__(self, server: viser.ViserServer, robot: RobotModel, scene: Scene, *, pullable: bool) -> None:
+    def __init__(self, server: viser.ViserServer, robot: RobotModel, scene: Scene, *, pullable: bool,
+                 coarse: bool) -> None:
         self._server, self._robot, self._task = server, robot, scene
-        self._light()
+        camera = server.initial_camera
+        camera.position, camera.look_at, camera.fov = np.array(CAMERA), np.array(LOOK_AT), FIELD_OF_VIEW
+        server.scene.configure_default_lights(cast_shadow=not coarse)
         self._surroundings(scene)
-        self._arm = DrawnArm(server, robot, load_urdf(robot, meshes="visual"), "/arm")
-        coarse = {name: load_urdf(robot, meshes="collision") for name in GHOSTS}
-        self._ghosts = {name: DrawnArm(server, robot, coarse[name], f"/ghost_{name}", GHOSTS[name]) for name in GHOSTS}
+        self._arm = DrawnArm(server, robot, load_urdf(robot, meshes="collision" if coarse else "visual"), "/arm",
+                             (225, 228, 232, 1.0) if coarse else None)
+        self._ghosts = {name: DrawnArm(server, robot, load_urdf(robot, meshes="collision"), f"/ghost_{name}", colour)
+                        for name, colour in GHOSTS.items()}
         for ghost in self._ghosts.values():
             ghost.visible = False
         self._grip = server.scene.add_icosphere("/grip", GRIP_RADIUS, YELLOW, opacity=0.85, visible=pullable)
         self._cup = self._add_cup() if scene.task == "cup" else None
         self._drawn: dict[str, viser.SceneNodeHandle] = {}
         self._tool = np.zeros(3)
+        self._shown = np.full(robot.n, np.inf)
 
     def on_pull(self, pull: Callable[[str, int, Array | None], None]) -> None:
         """Tell what the mouse does to the ball at the hand.
@@ -71,7 +79,10 @@ class LessonScene:
                  None if event.phase == "end" else np.asarray(event.end_position) - offset)
 
     def move_arm(self, positions: Array) -> None:
-        """Show the arm's posture, shape (n,) [rad]."""
+        """Show the arm's posture, shape (n,) [rad]; one that nobody could tell from the last is not sent."""
+        if np.abs(positions - self._shown).max() < SMALLEST_MOVE:
+            return
+        self._shown = positions
         position, rotation = self._robot.tool_pose(positions)
         with self._server.atomic():
             self._arm.move(positions)
@@ -140,10 +151,6 @@ class LessonScene:
     def _remove(self, name: str) -> None:
         if name in self._drawn:
             self._drawn.pop(name).remove()
-
-    def _light(self) -> None:
-        camera = self._server.initial_camera
-        camera.position, camera.look_at, camera.fov = np.array(CAMERA), np.array(LOOK_AT), FIELD_OF_VIEW
 
     def _surroundings(self, scene: Scene) -> None:
         add = self._server.scene

@@ -147,7 +147,7 @@ def banner(view: LessonView) -> Banner:
         The lines.
     """
     if view.mode is TeachingMode.STOPPED:
-        who, kind = "STOPPED - the arm holds still", "stopped"
+        who, kind = "STOPPED: the arm holds", "stopped"
     elif view.control is Control.PERSON or (view.mode is TeachingMode.GUIDE and view.phase is Phase.DEMONSTRATING):
         who, kind = "YOU have control", "person"
     elif view.mode is TeachingMode.TRACK and view.control is Control.ROBOT:

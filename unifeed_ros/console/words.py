@@ -38,11 +38,11 @@ def banner_html(view: LessonView) -> str:
         f'<div style="background:#fff3d6;color:#4a3500;padding:4px 10px;font-size:14px">&#9888; '
         f"{as_text(sick.name)} {as_text(sick.text)}. {as_text(sick.remedy)}</div>")
     return f"""{STYLE}<div role="status" aria-live="polite" style="font-family:sans-serif">
-<div id="who" style="background:{COLOURS[lines.kind]};color:#fff;padding:8px 12px;font-size:24px;font-weight:700">
+<div id="who" style="background:{COLOURS[lines.kind]};color:#fff;padding:8px 12px;font-size:22px;font-weight:700">
 {SYMBOLS[lines.kind]} {as_text(lines.who)}</div>
 <div style="padding:6px 12px;color:#16181c"><div id="stage" style="font-size:16px;font-weight:600">
 {as_text(lines.stage)}</div>
-<div id="request" style="font-size:19px;line-height:1.3;min-height:50px">{as_text(lines.request)}</div>
+<div id="request" style="font-size:18px;line-height:1.3;min-height:48px">{as_text(lines.request)}</div>
 {_bar(share, "#8a4b00", f"force at the hand: {view.force:.0f} N")}{progress}</div>{warning}</div>"""
 
 

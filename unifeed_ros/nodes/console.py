@@ -66,6 +66,8 @@ class ConsoleConfig:
     """Port to listen on; the next free one is taken."""
     token: str = ""
     """Token that a page must show; empty: one is made up where other machines could reach the page."""
+    coarse: bool = False
+    """True: coarse meshes and no shadows, for tablets and machines without a graphics card."""
     pullable: bool = False
     """True: the mouse pulls the hand of the simulated arm."""
     true_reward: bool = False
@@ -102,7 +104,7 @@ class ConsoleNode(UnifeedNode):
         self._used = time.process_time()
         self._page = TeachingPage(
             self._robot, scene, self, host=self._config.host, port=self._config.port, token=self._config.token,
-            pullable=self._config.pullable)
+            pullable=self._config.pullable, coarse=self._config.coarse)
         self._connect()
         if self._config.true_reward:
             threading.Thread(target=self._measure, args=(scene,), daemon=True).start()
