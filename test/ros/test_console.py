@@ -112,7 +112,7 @@ class Watcher:
         self.teaching = msg
 
     def wait(self, condition, timeout=60.0):
-        self.spin_until(condition, timeout, lambda: f"(lesson: {self.lesson.message})")
+        self.spin_until(condition, timeout, lambda: f"(lesson: {self.lesson.message}; arm: {self.teaching.message})")
 
     def spin(self, duration):
         end = time.monotonic() + duration
@@ -126,8 +126,10 @@ def test_a_person_teaches_from_one_page_while_another_watches(start_node, ros_no
     ros_node.create_subscription(WrenchStamped, "hand_wrench", wrenches.append, subscriber_qos("hand_wrench"))
     session.wait(lambda: session.lesson.phase == LessonState.READY and "address" in values, STARTUP_S)
     check_this_machine_only(values["address"])
-    first, second = PageClient(values["address"]), PageClient(values["address"])
-    session.wait(lambda: first.can_press("Show a motion") and "You are watching" in second.text())
+    first = PageClient(values["address"])
+    session.wait(lambda: first.can_press("Show a motion") and "You teach from this page" in first.text())
+    second = PageClient(values["address"])
+    session.wait(lambda: "You are watching" in second.text())
     assert not wrenches  # the hand is open until somebody pulls
 
     second.press("Show a motion")  # a page that watches gives no command, whatever it sends
