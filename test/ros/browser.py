@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import base64
 import os
 import shutil
 import time
@@ -57,13 +57,12 @@ class Visitor:
         self._taken = 0
 
     def look(self, name):
-        from selenium.common.exceptions import TimeoutException
-
         if self._pictures is not None:
             self._pictures.mkdir(parents=True, exist_ok=True)
             self._taken += 1
-            with contextlib.suppress(TimeoutException):  # a picture that comes too late is missing, and no failure
-                self.browser.save_screenshot(str(self._pictures / f"{self._taken:02d}-{name}.png"))
+            # not save_screenshot: it gives up after 10 s, and drawing without a graphics card may take longer
+            picture = self.browser.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})["data"]
+            (self._pictures / f"{self._taken:02d}-{name}.png").write_bytes(base64.b64decode(picture))
 
     def wait(self, happened, what):
         end = time.monotonic() + PATIENCE_S

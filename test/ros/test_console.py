@@ -121,7 +121,8 @@ class Watcher:
 
 @pytest.mark.timeout(300)
 def test_a_person_teaches_from_one_page_while_another_watches(start_node, ros_node, spin_until, values, call):
-    processes = start_session(start_node, console=True, console_parameters={"port": 0, "coarse": True})
+    processes = start_session(start_node, console=True, console_parameters={"port": 0, "coarse": True},
+                              changes={"session": {"session.node_timeout": 30.0}})  # the meshes keep a machine busy
     session, wrenches = Watcher(ros_node, spin_until), []
     ros_node.create_subscription(WrenchStamped, "hand_wrench", wrenches.append, subscriber_qos("hand_wrench"))
     session.wait(lambda: session.lesson.phase == LessonState.READY and "address" in values, STARTUP_S)

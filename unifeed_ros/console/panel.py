@@ -68,8 +68,8 @@ class LessonPanel:
         """Put the banner and the stop button where no scrolling hides them."""
         panel = self._gui.add_panel()
         with panel.add_tab("Lesson", viser.Icon.ROBOT):
-            self._banner = self._gui.add_html(STYLE)
             self._add_button(STOP)
+            self._banner = self._gui.add_html(STYLE)
         panel.float(x=12, y=-12, width=430)  # notes come at the top: they must not cover the stop button
 
     def _build_main(self, floor: float) -> None:

@@ -36,7 +36,7 @@ def banner_html(view: LessonView) -> str:
     sick = worst(view.health)
     warning = "" if sick is None or view.phase is Phase.WAITING else (
         f'<div style="background:#fff3d6;color:#4a3500;padding:4px 10px;font-size:14px">&#9888; '
-        f"{as_text(sick.name)} {as_text(sick.text)}. {as_text(sick.remedy)}</div>")
+        f"{as_text(sick.name)}: {as_text(sick.text)}. {as_text(sick.remedy)}</div>")
     return f"""{STYLE}<div role="status" aria-live="polite" style="font-family:sans-serif">
 <div id="who" style="background:{COLOURS[lines.kind]};color:#fff;padding:8px 12px;font-size:22px;font-weight:700">
 {SYMBOLS[lines.kind]} {as_text(lines.who)}</div>

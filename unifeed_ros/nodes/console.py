@@ -284,9 +284,10 @@ class ConsoleNode(UnifeedNode):
 
     def _on_answer(self, future: Future) -> None:
         answer = future.result()
-        if answer.message.startswith("saved "):
+        saved = answer.message.startswith("saved ")
+        if saved:
             self._saved = answer.message.removeprefix("saved ")
-        if not answer.success or self._saved in answer.message:
+        if saved or not answer.success:
             self._note(answer.message)
 
     def _on_answered(self, future: Future) -> None:
