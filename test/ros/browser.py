@@ -111,8 +111,8 @@ class Visitor:
         self.browser.execute_script("arguments[0].click()", self.button(text))
 
     def open_tab(self, text):
-        script = "[...document.querySelectorAll('[role=tab]')].find(b => b.innerText.includes(arguments[0])).click()"
-        self.browser.execute_script(script, text)
+        script = "return [...document.querySelectorAll('[role=tab]')].find(b => b.innerText.includes(arguments[0]))"
+        self.browser.execute_script(script, text).click()  # with the mouse: tabs can be dragged, and wait for its button
 
     def drag(self, places, hold=0.3):
         """Drag from the first place through the others, shape (N, 3) [m], as a mouse does."""

@@ -74,9 +74,9 @@ def question_html(view: LessonView) -> str:
     """Write why a question is asked."""
     if view.question is None:
         return ""
+    told = "" if "bit" in view.question.reason else f" Expected information: {view.question.information:.2f} bit."
     return ('<div style="padding:4px 12px;color:#16181c;font-family:sans-serif;font-size:15px">'
-            f"<b>Which motion is better?</b><br>It is asked because {as_text(view.question.reason)} "
-            f"(the answer is expected to tell {view.question.information:.2f} bit).</div>")
+            f"<b>Which motion is better?</b><br>Why it is asked: {as_text(view.question.reason)}.{told}</div>")
 
 
 def health_html(lines: tuple[HealthLine, ...]) -> str:
