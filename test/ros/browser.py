@@ -112,7 +112,7 @@ class Visitor:
 
     def open_tab(self, text):
         script = "return [...document.querySelectorAll('[role=tab]')].find(b => b.innerText.includes(arguments[0]))"
-        self.browser.execute_script(script, text).click()  # with the mouse: tabs can be dragged, and wait for its button
+        self.browser.execute_script(script, text).click()  # with the mouse: tabs can be dragged
 
     def drag(self, places, hold=0.3):
         """Drag from the first place through the others, shape (N, 3) [m], as a mouse does."""

@@ -326,14 +326,15 @@ class ConsoleNode(UnifeedNode):
 
     def _pull_hand(self, msg: TeachingState) -> None:
         """Answer the arm's state with the mouse's force, like a person who holds the hand."""
-        if self._wrenches is None or (self._target is None and not self._pulling):
+        target = self._target  # read once: the page's thread may let go meanwhile
+        if self._wrenches is None or (target is None and not self._pulling):
             return
         wrench, now = np.zeros(6), seconds(msg.header.stamp)
-        if self._target is not None:
-            wrench = self._mouse.wrench(now, np.asarray(msg.positions), self._target)
+        if target is not None:
+            wrench = self._mouse.wrench(now, np.asarray(msg.positions), target)
         else:
             self._mouse.let_go()
-        self._pulling = self._target is not None
+        self._pulling = target is not None
         out = WrenchStamped(header=header(now, self._robot.config.base_frame))
         for part, values in ((out.wrench.force, wrench[:3]), (out.wrench.torque, wrench[3:])):
             part.x, part.y, part.z = map(float, values)
