@@ -109,10 +109,10 @@ class LessonPanel:
         gui = self._gui
         gui.add_html(f'<div style="padding:6px 12px;font-family:sans-serif;color:#16181c">'
                      f"The tube is the motion that the robot plans.{scale_legend()}</div>")
-        self._before = gui.add_checkbox("Show the plan before the last input (broken line)", True)
+        self._before = gui.add_checkbox("Plan before", True, hint="The plan before the last input, as a broken line.")
         self._past = gui.add_dropdown("Past motion", (NO_PAST,))
-        self._slice = gui.add_checkbox("Show the reward as a coloured slice", False)
-        self._height = gui.add_slider("Height of the slice (m)", floor, floor + 0.8, 0.01, floor + 0.1)
+        self._slice = gui.add_checkbox("Reward slice", False, hint="The learned reward, level through the workspace.")
+        self._height = gui.add_slider("Slice height (m)", floor, floor + 0.8, 0.01, floor + 0.1)
 
     @property
     def look(self) -> Look:

@@ -21,6 +21,7 @@ LEVELS = {0: ("#006b46", "&#10003;", "well"), 1: ("#7a5600", "!", "look"), 2: ("
 STYLE = """<style>
 button { min-height: 40px !important; }
 button span, button { font-size: 15px !important; font-weight: 600 !important; white-space: normal !important; }
+label { color: #16181c !important; font-size: 14px !important; }
 button:focus-visible { outline: 4px solid #000 !important; outline-offset: 2px; }
 button[data-disabled], button:disabled { background: #e4e6ea !important; color: #5c6068 !important; }
 </style>"""
