@@ -146,7 +146,7 @@ def test_a_person_teaches_from_one_page_while_another_watches(start_node, ros_no
     way = np.linspace(tool, [*scene.goal[:2], 0.3], 30)
     second.pull(way[:3])
     assert not wrenches
-    pulling = threading.Thread(target=first.pull, args=(way, 0.1))
+    pulling = threading.Thread(target=first.pull, args=(way, 0.2))
     pulling.start()
     session.wait(lambda: not pulling.is_alive())
     session.spin(1.0)

@@ -13,6 +13,10 @@ CLOSING_S = 0.25
 """Time in which the hand closes around the tool: a pull that begins at once would feel like a collision [s]."""
 LARGEST_GAP = 0.05
 """Time between two looks at the arm beyond which the speed is not worked out [s]."""
+MOUSE_HAND = HandConfig(largest_force=20.0, damping=50.0, turning_stiffness=8.0, turning_damping=0.4, turning_push=0.0,
+                        largest_torque=1.5)
+"""How the mouse holds the tool: gentler than a person, since it feels the arm a hundred times a second only, and a wrist
+that is turned hard on such late news swings until the controller stops it."""
 
 
 class MouseHand:
@@ -26,7 +30,7 @@ class MouseHand:
     """
 
     def __init__(self, robot: RobotModel, config: HandConfig | None = None) -> None:
-        self._robot, self._hand = robot, Hand(robot, config or HandConfig())
+        self._robot, self._hand = robot, Hand(robot, config or MOUSE_HAND)
         self._last: tuple[float, Array] | None = None
         self._gripped: float | None = None
         self._axis = np.array([0.0, 0.0, -1.0])
