@@ -63,7 +63,7 @@ def main() -> int:
 
 def moving(monitor: SessionMonitor, page: PageClient) -> dict[str, float]:
     """Measure poses and processor time while the arm moves."""
-    run = monitor._node.create_client(Trigger, "run")
+    run = monitor.node.create_client(Trigger, "run")
     run.wait_for_service(timeout_sec=10.0)
     run.call_async(Trigger.Request())
     monitor.spin(30.0, lambda: monitor.lesson.phase == LessonState.RUNNING)

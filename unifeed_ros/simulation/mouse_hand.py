@@ -15,7 +15,7 @@ LARGEST_GAP = 0.05
 """Time between two looks at the arm beyond which the speed is not worked out [s]."""
 MOUSE_HAND = HandConfig(largest_force=20.0, damping=50.0, turning_stiffness=8.0, turning_damping=0.4, turning_push=0.0,
                         largest_torque=1.5)
-"""How the mouse holds the tool: gentler than a person, since it feels the arm a hundred times a second only, and a wrist
+"""How the mouse holds the tool: gentler than a person, since it feels the arm only a hundred times a second; a wrist
 that is turned hard on such late news swings until the controller stops it."""
 
 
