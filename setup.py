@@ -15,7 +15,7 @@ PACKAGE = "unifeed_ros"
 MESSAGES = "unifeed_msgs"
 HERE = Path(__file__).resolve().parent
 NODES = ("sim_arm", "sim_teacher", "capture", "reward_learner", "trajectory_optimizer", "shared_control", "session",
-         "recorder")
+         "recorder", "console")
 DATA = ("config", "launch", "msg_docs")
 
 

@@ -61,7 +61,7 @@ def test_setup_and_manifest_agree(described):
 
 def test_every_node_of_the_table_is_an_executable(described):
     executables = dict(entry.split(" = ") for entry in described["entry_points"]["console_scripts"])
-    setup = SessionSetup(parameter_files=(), simulated=True, taught_by="D", bag=Path("bag"))
+    setup = SessionSetup(parameter_files=(), simulated=True, taught_by="D", bag=Path("bag"), console=True)
     assert {spec.executable for spec in node_table(setup)} | {"unifeed"} == set(executables)
     for target in executables.values():
         module, function = target.split(":")
@@ -130,6 +130,7 @@ def launch_library(monkeypatch):
 @pytest.mark.parametrize(("file", "given"), [
     ("sim", {"robot": "ur10", "task": "cup", "seed": "3", "teacher": "ddc", "speed": "2"}),
     ("sim", {"bag": "recording"}),
+    ("sim", {"console": "true", "console_port": "8123"}),
     ("teach", {"robot": "panda", "seed": "7"}),
 ])
 def test_launch_files_start_the_nodes_of_the_table(launch_library, file, given):
@@ -143,7 +144,9 @@ def test_launch_files_start_the_nodes_of_the_table(launch_library, file, given):
         parameter_files=(config_path("robots", context["robot"]), config_path("tasks", context["task"]),
                          config_path("", "session")),
         simulated=file == "sim", taught_by=context.get("teacher", "").upper(), seed=int(context["seed"]),
-        speed=float(context.get("speed", 1)), bag=Path(context["bag"]).resolve() if context["bag"] else None))
+        speed=float(context.get("speed", 1)), bag=Path(context["bag"]).resolve() if context["bag"] else None,
+        console=context["console"] == "true",
+        console_parameters={"host": context["console_host"], "port": int(context["console_port"])}))
     assert [(n.named["package"], n.named["executable"], n.named["arguments"]) for n in nodes] == [
         ("unifeed_ros", spec.executable, spec.arguments()) for spec in table]
 

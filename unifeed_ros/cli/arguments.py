@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from unifeed_ros.core.errors import UnifeedError
@@ -117,3 +119,31 @@ def require_letters(feedback: str) -> str:
 def domain() -> str:
     """Give the ROS domain of this process."""
     return os.environ.get("ROS_DOMAIN_ID", "0")
+
+
+def add_console_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the teaching page to a command."""
+    parser.add_argument("--console", action="store_true", help="with the teaching page, docs/console.md")
+    parser.add_argument("--console-host", default="127.0.0.1", metavar="ADDRESS",
+                        help="address that the page listens on; other machines need a token (default: 127.0.0.1)")
+    parser.add_argument("--console-port", type=int, default=8080, metavar="PORT",
+                        help="port of the page; the next free one is taken (default: 8080)")
+    parser.add_argument("--console-coarse", action="store_true",
+                        help="draw the arm coarsely, for tablets and machines without a graphics card")
+
+
+def console_parameters(options: argparse.Namespace) -> Mapping[str, str | int | bool]:
+    """Read the options of the teaching page.
+
+    Args:
+        options: Options of a command with the page.
+
+    Returns:
+        Parameters of the node `console` by name.
+
+    Raises:
+        UserMistake: The port is none.
+    """
+    if not 0 <= options.console_port <= 65535:
+        raise UserMistake("--console-port", expected="0 to 65535", got=options.console_port)
+    return {"host": options.console_host, "port": options.console_port, "coarse": options.console_coarse}

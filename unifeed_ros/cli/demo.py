@@ -9,7 +9,16 @@ from pathlib import Path
 from typing import TextIO
 
 from unifeed_msgs.msg import Interaction, LessonState
-from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder, require_letters, require_speed, session_files
+from unifeed_ros.cli.arguments import (
+    UserMistake,
+    add_console_options,
+    console_parameters,
+    domain,
+    prepare_folder,
+    require_letters,
+    require_speed,
+    session_files,
+)
 from unifeed_ros.cli.monitor import SessionMonitor
 from unifeed_ros.cli.processes import NodeProcesses
 from unifeed_ros.cli.report import KINDS, build_report, describe, save_report
@@ -17,7 +26,7 @@ from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
 from unifeed_ros.nodes.conversions import trajectory_from_msg
 from unifeed_ros.nodes.sim_teacher import DONE, GAVE_UP
-from unifeed_ros.nodes.table import SessionSetup, node_table
+from unifeed_ros.nodes.table import CONSOLE, SessionSetup, node_table
 from unifeed_ros.simulation.tasks import TrueTask, Yardstick, measure
 
 FAULT_S = 6.0
@@ -40,6 +49,7 @@ def add_demo_command(commands: argparse._SubParsersAction[argparse.ArgumentParse
     parser.add_argument("--out", type=Path, help="folder for report, figures and bag (default: out/demo-<date>-<time>)")
     parser.add_argument("--timeout", type=float, default=600.0, help="longest time of the whole lesson, in s")
     parser.add_argument("--json", action="store_true", help="print the report as JSON on stdout, progress on stderr")
+    add_console_options(parser)
     parser.set_defaults(run=run_demo)
 
 
@@ -53,7 +63,7 @@ def run_demo(options: argparse.Namespace) -> int:
     task = TrueTask(scene=scene)
     out = prepare_folder(options.out or Path("out") / time.strftime("demo-%Y%m%d-%H%M%S"))
     setup = SessionSetup(parameter_files=files, simulated=True, taught_by=letters, seed=options.seed, speed=speed,
-                         bag=out / "bag")
+                         bag=out / "bag", console=options.console, console_parameters=console_parameters(options))
     progress = sys.stderr if options.json else sys.stdout
     with SessionMonitor() as monitor:
         if monitor.session_is_running():
@@ -87,6 +97,8 @@ class _Lesson:
         while time.monotonic() < deadline:
             self._monitor.spin(0.2)
             self._print_news()
+            if news := processes.console_news(self._monitor.value(CONSOLE, "address")):
+                self._print(news)
             if dead := processes.dead():
                 name, code = next(iter(dead.items()))
                 self._monitor.stop_arm()

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 
 from unifeed_ros.nodes.parent_death import end_with_parent
-from unifeed_ros.nodes.table import RECORDER, NodeSpec
+from unifeed_ros.nodes.table import CONSOLE, RECORDER, NodeSpec
 
 NODES_GRACE_S = 1.6
 """Time that all nodes but the recorder have to end [s]."""
@@ -31,6 +31,7 @@ class NodeProcesses:
     def __init__(self, specs: Sequence[NodeSpec], logs: Path) -> None:
         self._specs, self._logs = specs, logs
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._console_told = ""
 
     def __enter__(self) -> NodeProcesses:
         """Start every node."""
@@ -50,8 +51,23 @@ class NodeProcesses:
         self.stop()
 
     def dead(self) -> dict[str, int]:
-        """Give the exit status of each node that has ended."""
-        return {name: code for name, p in self._processes.items() if (code := p.poll()) is not None}
+        """Give the exit status of each node that has ended and without which the session cannot go on."""
+        return {name: code for name, p in self._processes.items() if name != CONSOLE and (code := p.poll()) is not None}
+
+    def console_news(self, address: str) -> str:
+        """Say once where the teaching page is, and once that it ended; empty when there is nothing new.
+
+        Args:
+            address: Address that the page has told; empty if it has not yet.
+        """
+        process = self._processes.get(CONSOLE)
+        if process is None:
+            return ""
+        news = f"teaching page: {address}" if address else ""
+        if process.poll() is not None:
+            news = f"the teaching page ended, the session goes on: {self.log_tail(CONSOLE, 1) or 'see its log'}"
+        told, self._console_told = self._console_told, news or self._console_told
+        return news if news != told else ""
 
     @property
     def pids(self) -> list[int]:

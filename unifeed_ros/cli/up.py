@@ -7,13 +7,21 @@ import sys
 import time
 from pathlib import Path
 
-from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder, require_speed, session_files
+from unifeed_ros.cli.arguments import (
+    UserMistake,
+    add_console_options,
+    console_parameters,
+    domain,
+    prepare_folder,
+    require_speed,
+    session_files,
+)
 from unifeed_ros.cli.monitor import SessionMonitor
 from unifeed_ros.cli.processes import NodeProcesses
 from unifeed_ros.core.planning.plan import PlannerConfig, plan_motion
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
-from unifeed_ros.nodes.table import SessionSetup, node_table
+from unifeed_ros.nodes.table import CONSOLE, SessionSetup, node_table
 
 
 def add_up_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -29,6 +37,7 @@ def add_up_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random")
     parser.add_argument("--speed", type=float, default=1.0, help="simulated seconds per second (default: 1)")
     parser.add_argument("--out", type=Path, help="folder for logs and bag (default: out/session-<date>-<time>)")
+    add_console_options(parser)
     parser.set_defaults(run=run_up)
 
 
@@ -47,6 +56,8 @@ def run_up(options: argparse.Namespace) -> int:
         seed=options.seed,
         speed=speed,
         bag=out / "bag",
+        console=options.console,
+        console_parameters=console_parameters(options),
     )
     with SessionMonitor() as monitor:
         if monitor.session_is_running():
@@ -81,6 +92,8 @@ def _watch(monitor: SessionMonitor, processes: NodeProcesses) -> int:
         if monitor.lesson.message and monitor.lesson.message != said:
             said = monitor.lesson.message
             print(said, flush=True)
+        if news := processes.console_news(monitor.value(CONSOLE, "address")):
+            print(news, flush=True)
         for name, code in processes.dead().items():
             monitor.stop_arm()
             print(f"unifeed up: {name} died (exit status {code}): {processes.log_tail(name, 1) or 'see its log'}",

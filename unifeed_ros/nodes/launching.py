@@ -17,6 +17,9 @@ ARGUMENTS = {
     "task": ("table", "table, laptop, cup or proximity, or a YAML file"),
     "bag": ("", "folder of the recording; empty: nothing is recorded"),
     "seed": ("0", "seed of the training and of the questions"),
+    "console": ("false", "true: with the teaching page in the browser"),
+    "console_host": ("127.0.0.1", "address that the page listens on; other machines need a token"),
+    "console_port": ("8080", "port of the page; the next free one is taken"),
 }
 """Arguments of every launch file: default and description."""
 
@@ -52,6 +55,8 @@ def _session_nodes(context: LaunchContext, simulated: bool) -> list[Node]:
     setup = SessionSetup(
         parameter_files=tuple(path.resolve() for path in files), simulated=simulated, seed=int(value("seed")),
         taught_by=value("teacher").upper() if simulated else "", speed=float(value("speed")) if simulated else 1.0,
-        bag=Path(value("bag")).expanduser().resolve() if value("bag") else None)
+        bag=Path(value("bag")).expanduser().resolve() if value("bag") else None,
+        console=value("console").lower() == "true",
+        console_parameters={"host": value("console_host"), "port": int(value("console_port"))})
     return [Node(package="unifeed_ros", executable=spec.executable, name=spec.executable, output="screen",
                  arguments=spec.arguments()) for spec in node_table(setup)]

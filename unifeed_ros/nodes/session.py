@@ -81,6 +81,7 @@ class SessionNode(UnifeedNode):
         self._phase, self._message = LessonState.WAITING, "waiting for the other nodes"
         self._taught: list[str] = []
         self._plan: JointTrajectory | None = None
+        self._plan_version = 0
         self._shown: list[JointTrajectory] = []
         self._model: RewardModel | None = None
         self._feedback: queue.Queue[Feedback] = queue.Queue()
@@ -251,8 +252,8 @@ class SessionNode(UnifeedNode):
         """Carry out the newest plan; pushes become corrections."""
         self._return_to_start()
         self._drain_feedback()
-        if self._plan is None:
-            self._plan = self._optimized().trajectory
+        if self._plan is None or self._plan_is_old():
+            self._plan_anew()
         self._enter(LessonState.RUNNING, "the arm moves: push it where it should move differently")
         result = self._executed(self._plan, "run")
         ended = time.monotonic()
@@ -268,6 +269,8 @@ class SessionNode(UnifeedNode):
         if self._plan is None:
             raise LessonError("no motion to ask about", mend="teach a demonstration or run first, then reset")
         self._enter(LessonState.PLANNING, "choosing a question")
+        if self._plan_is_old():
+            self._plan_anew()
         request = SelectQuery.Request(
             candidates=[self._plan, *self._shown], context=context_to_msg(self._scene.context())
         )
@@ -300,10 +303,9 @@ class SessionNode(UnifeedNode):
         if not trained.success:
             raise LessonError(f"not learned: {trained.message}", mend="undo_feedback takes an input back; then reset")
         self._enter(LessonState.PLANNING, "planning the new motion")
-        planned = self._optimized()
+        planned = self._plan_anew()
         self._end_return()
         ready = time.monotonic() - ended
-        self._plan = planned.trajectory
         self._return_to_start()
         self._enter(LessonState.SHOWING, "showing what was learned")
         self._drain_feedback()
@@ -322,6 +324,15 @@ class SessionNode(UnifeedNode):
         self._ready("ready: start_demonstration, run or ask")
 
     # Steps that wait on other nodes.
+
+    def _plan_is_old(self) -> bool:
+        """Say whether a reward was learned since the plan was made, as after an undo."""
+        return self._model is not None and self._model.version > self._plan_version
+
+    def _plan_anew(self) -> OptimizeTrajectory.Result:
+        result = self._optimized()
+        self._plan, self._plan_version = result.trajectory, result.model_version
+        return result
 
     def _optimized(self, *, smoothest: bool = False, start: np.ndarray | None = None) -> OptimizeTrajectory.Result:
         goal = OptimizeTrajectory.Goal(context=context_to_msg(self._scene.context()), smoothest=smoothest)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 Parameter = bool | int | float | str
 
-RECORDER = "recorder"
+RECORDER, CONSOLE = "recorder", "console"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +52,10 @@ class SessionSetup:
     """Simulated seconds per second."""
     bag: Path | None = None
     """Folder of the recording; None: nothing is recorded."""
+    console: bool = False
+    """True: with the teaching page."""
+    console_parameters: Mapping[str, Parameter] = field(default_factory=dict)
+    """Parameters of the teaching page by name: host, port, token."""
 
 
 def node_table(setup: SessionSetup) -> tuple[NodeSpec, ...]:
@@ -79,6 +83,10 @@ def node_table(setup: SessionSetup) -> tuple[NodeSpec, ...]:
     ]
     if setup.taught_by:
         rows.append(("sim_teacher", {"teacher.feedback": setup.taught_by, "teacher.seed": setup.seed}))
+    if setup.console:
+        pullable = setup.simulated and not setup.taught_by
+        rows.append((CONSOLE, {"console.pullable": pullable, "console.true_reward": bool(setup.taught_by),
+                               **{f"console.{name}": value for name, value in setup.console_parameters.items()}}))
     return tuple(NodeSpec(executable=name, parameter_files=setup.parameter_files, parameters=parameters)
                  for name, parameters in rows)
 

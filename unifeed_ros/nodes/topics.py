@@ -52,12 +52,12 @@ class Topic:
 JOINT_STATE, TRAJECTORY = "sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory"
 
 ALL_NODES = ("sim_arm", "sim_teacher", "capture", "reward_learner", "trajectory_optimizer", "shared_control", "session",
-             "recorder")
+             "recorder", "console")
 
 TOPICS: tuple[Topic, ...] = (
     Topic("joint_states", JOINT_STATE, SENSOR, 1000.0, ("sim_arm",), ("sim_teacher", "capture", "shared_control")),
     Topic("external_torques", JOINT_STATE, SENSOR, 1000.0, ("sim_arm",), ("capture", "shared_control")),
-    Topic("hand_wrench", "geometry_msgs/msg/WrenchStamped", SENSOR, 500.0, ("sim_teacher",), ("sim_arm",)),
+    Topic("hand_wrench", "geometry_msgs/msg/WrenchStamped", SENSOR, 500.0, ("sim_teacher", "console"), ("sim_arm",)),
     Topic("joint_command", JOINT_STATE, SENSOR, 500.0, ("shared_control",), ("sim_arm",)),
     Topic("joint_setpoint", JOINT_STATE, SENSOR, 500.0, ("shared_control",), ("sim_arm",)),
     Topic("joint_trajectory", TRAJECTORY, SENSOR, 500.0, ("shared_control",), ("sim_arm",)),
@@ -78,7 +78,7 @@ TOPICS: tuple[Topic, ...] = (
         "unifeed_msgs/msg/Feedback",
         EVENT,
         0.0,
-        ("capture", "reward_learner"),
+        ("capture", "reward_learner", "console"),
         ("reward_learner", "session"),
     ),
     Topic(

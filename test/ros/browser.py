@@ -1,0 +1,145 @@
+"""A person at the teaching page: a headless Chromium that clicks, drags and looks."""
+
+from __future__ import annotations
+
+import base64
+import os
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from unifeed_ros.console.scene import CAMERA, FIELD_OF_VIEW, LOOK_AT
+
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+FLAGS = ("--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic",
+         "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync",
+         "--disable-dev-shm-usage", "--force-device-scale-factor=1")
+PATIENCE_S = 240.0
+"""Longest wait for one thing to happen in the page, where the browser draws without a graphics card [s]."""
+
+
+def require_browser():
+    """Skip the test where no browser can be driven."""
+    pytest.importorskip("selenium", reason="no selenium: pip install -r requirements-dev.txt")
+    if CHROMIUM is None or DRIVER is None:
+        pytest.skip("no browser: apt install chromium chromium-driver")
+
+
+def open_browser(profile, size=(1280, 943)):
+    """Start a browser; its own bars take 143 px of the height, which leaves 800 for the page."""
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = CHROMIUM
+    options.page_load_strategy = "none"
+    for flag in (*FLAGS, f"--user-data-dir={profile}", f"--window-size={size[0]},{size[1]}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"performance": "ALL"})
+    browser = webdriver.Chrome(options=options, service=Service(DRIVER))
+    browser.set_script_timeout(PATIENCE_S)
+    return browser
+
+
+class Visitor:
+    """Somebody at the page, who sees words and buttons.
+
+    Pictures of what they see go to the folder of the environment variable UNIFEED_SCREENSHOTS, if it is set.
+    """
+
+    def __init__(self, browser):
+        self.browser = browser
+        folder = os.environ.get("UNIFEED_SCREENSHOTS")
+        self._pictures = Path(folder) if folder else None
+        self._taken = 0
+
+    def look(self, name):
+        if self._pictures is not None:
+            self._pictures.mkdir(parents=True, exist_ok=True)
+            self._taken += 1
+            # not save_screenshot: it gives up after 10 s, and drawing without a graphics card may take longer
+            picture = self.browser.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})["data"]
+            (self._pictures / f"{self._taken:02d}-{name}.png").write_bytes(base64.b64decode(picture))
+
+    def wait(self, happened, what):
+        end = time.monotonic() + PATIENCE_S
+        while not happened():
+            if time.monotonic() > end:
+                self.look("failed")
+                pytest.fail(f"{what} did not happen within {PATIENCE_S} s; the page says {self.request()!r}")
+            time.sleep(0.1)
+
+    def open(self, address):
+        began = time.monotonic()
+        self.browser.get(address)
+        self.wait(lambda: self.words("who"), "the page")
+        return time.monotonic() - began
+
+    def words(self, name):
+        script = "const e = document.getElementById(arguments[0]); return e ? e.innerText.trim() : ''"
+        return self.browser.execute_script(script, name)
+
+    def request(self):
+        return self.words("request")
+
+    def reads(self, text):
+        return text in self.browser.execute_script("return document.body.innerText")
+
+    def button(self, text):
+        script = "return [...document.querySelectorAll('button')].find(b => b.innerText.includes(arguments[0]))"
+        return self.browser.execute_script(script, text)
+
+    def can_press(self, text):
+        button = self.button(text)
+        return button is not None and button.is_enabled()
+
+    def get_ready(self):
+        """Wait until the robot is ready, and go back to the start after a stop, as the page asks for."""
+        def ready():
+            if self.can_press("Back to start") and "Back to start" in self.request():
+                self.press("Back to start")
+                time.sleep(2.0)
+            return self.can_press("Show a motion")
+
+        self.wait(ready, "ready")
+
+    def press(self, text):
+        self.wait(lambda: self.can_press(text), f"button {text!r}")
+        self.browser.execute_script("arguments[0].click()", self.button(text))
+
+    def open_tab(self, text):
+        script = "return [...document.querySelectorAll('[role=tab]')].find(b => b.innerText.includes(arguments[0]))"
+        self.browser.execute_script(script, text).click()  # with the mouse: tabs can be dragged
+
+    def drag(self, places, hold=0.3):
+        """Drag from the first place through the others, shape (N, 3) [m], as a mouse does."""
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        pixels = np.rint(self.project(places)).astype(int)
+        actions = ActionChains(self.browser, duration=60)
+        actions.w3c_actions.pointer_action.move_to_location(*map(int, pixels[0]))
+        actions.pause(hold).w3c_actions.pointer_action.pointer_down()
+        for x, y in pixels[1:]:
+            actions.w3c_actions.pointer_action.move_to_location(int(x), int(y))
+            actions.pause(0.05)
+        actions.pause(hold)
+        actions.w3c_actions.pointer_action.pointer_up()
+        actions.perform()
+
+    def project(self, places):
+        """Find the pixels of places in the first view, shape (N, 3) [m]."""
+        rect = self.browser.execute_script(
+            "const r = [...document.querySelectorAll('canvas')].map(c => c.getBoundingClientRect())"
+            ".sort((a, b) => b.width * b.height - a.width * a.height)[0]; return [r.x, r.y, r.width, r.height]")
+        x, y, width, height = rect
+        forward = np.subtract(LOOK_AT, CAMERA)
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        away = np.atleast_2d(places) - CAMERA
+        scale = 0.5 * height / np.tan(0.5 * FIELD_OF_VIEW) / (away @ forward)
+        return np.stack([x + 0.5 * width + scale * (away @ right),
+                         y + 0.5 * height - scale * (away @ np.cross(right, forward))], axis=1)

@@ -1,0 +1,120 @@
+"""A whole lesson by clicks alone, in a headless browser."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+import time
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from browser import Visitor, open_browser, require_browser
+
+from unifeed_msgs.msg import TeachingState
+from unifeed_ros.core.robot import RobotModel, load_robot
+from unifeed_ros.core.scene import load_scene
+from unifeed_ros.nodes.topics import subscriber_qos
+from unifeed_ros.resources import config_path
+
+SPEED = "0.3"
+"""The browser draws without a graphics card on the cores that the arm needs."""
+
+
+@pytest.fixture
+def visitor(tmp_path):
+    require_browser()
+    browser = open_browser(tmp_path / "profile")
+    yield Visitor(browser)
+    browser.quit()
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.mark.experiment
+@pytest.mark.timeout(1500)
+def test_a_whole_lesson_by_clicks(visitor, start_process, ros_node, spin_until, tmp_path):
+    port = free_port()
+    session = start_process([sys.executable, "-m", "unifeed_ros.cli.main", "up", "--robot", "panda", "--sim",
+                             "--speed", SPEED, "--console", "--console-coarse", "--console-port", port,
+                             "--out", tmp_path / "out"])
+    session.wait_for("teaching page:", 120.0)
+    robot, scene = RobotModel(load_robot(config_path("robots", "panda"))), load_scene(config_path("tasks", "table"))
+    teaching = TeachingState()
+
+    def listen(msg):
+        nonlocal teaching
+        teaching = msg
+
+    def tool():
+        now = time.monotonic()
+        spin_until(lambda: time.monotonic() > now + 0.1)
+        return robot.tool_pose(np.asarray(teaching.positions))[0]
+
+    ros_node.create_subscription(TeachingState, "teaching_state", listen, subscriber_qos("teaching_state"))
+    print(f"page there after {visitor.open(f'http://127.0.0.1:{port}/'):.1f} s")
+    visitor.get_ready()
+    visitor.look("ready")
+
+    visitor.press("Show a motion")
+    visitor.wait(lambda: "lead it to the goal" in visitor.request(), "guiding")
+    visitor.wait(lambda: (tool(), teaching.mode == TeachingState.GUIDE)[1], "weightless")
+    low = np.array([0.35, -0.1, 0.15])
+    way = [tool(), *np.linspace(tool(), low, 12)[1:], *np.linspace(low, scene.goal, 12)[1:]]
+    visitor.drag(way, hold=1.0)
+    visitor.look("demonstration")
+    moved = tool()
+    assert np.linalg.norm(moved - scene.start) > 0.2, f"the mouse moved the hand to {moved} only"
+    visitor.press("I have finished")
+    visitor.get_ready()
+    visitor.look("learned")
+
+    visitor.press("Try it")
+    visitor.wait(lambda: (tool(), teaching.mode == TeachingState.TRACK and teaching.motion_time > 0.3)[1], "running")
+    here = tool()
+    visitor.drag([here, *np.linspace(here, [*here[:2], 0.1], 8)[1:]], hold=0.5)
+    visitor.look("correction")
+    visitor.get_ready()
+    visitor.look("corrected")
+
+    visitor.press("Ask me")
+    visitor.wait(lambda: visitor.can_press("A was better"), "question")
+    time.sleep(2.0)
+    visitor.look("question")
+    visitor.press("A was better")
+    visitor.get_ready()
+
+    visitor.open_tab("Taught")
+    visitor.look("taught")
+    visitor.press("Forget 1")
+    visitor.wait(lambda: visitor.button("Give 1 back") is not None, "undo")
+    visitor.look("undone")
+    visitor.open_tab("Look")
+    visitor.look("look")
+    visitor.open_tab("Health")
+    visitor.look("health")
+    visitor.open_tab("Teach")
+    visitor.wait(lambda: visitor.can_press("Save"), "save")
+    visitor.press("Save")
+    visitor.wait(lambda: visitor.reads("saved "), "saved")
+    visitor.look("saved")
+    visitor.press("STOP")
+    visitor.wait(lambda: visitor.words("who").endswith("the arm holds"), "stopped")
+    visitor.look("stopped")
+    check_hosts(visitor.browser)
+
+
+def check_hosts(browser):
+    """Everything that the page fetched came from this machine."""
+    sent = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    addresses = [m["params"]["request"]["url"] for m in sent if m["method"] == "Network.requestWillBeSent"]
+    hosts = {urlsplit(address).hostname for address in addresses if address.startswith(("http", "ws"))}
+    assert hosts == {"127.0.0.1"}
