@@ -98,7 +98,7 @@ class SimulatedArm:
         thresholds = np.array(robot.config.contact_thresholds)
         self._bias = self._rng.normal(size=n) * self.config.torque_bias * thresholds
         self._friction_error = self._rng.normal(size=n) * self.config.friction_error
-        self._drive = DriveSensor(self.config.measured_noise * thresholds, seed)
+        self._torque_sensor = DriveSensor(self.config.measured_noise * thresholds, seed)
         self._wrist = WristSensor(self.config.wrench_offset, self.config.wrench_noise, seed)
         self._dry, self._viscous = np.array(robot.config.friction), np.array(damping)
         self._noise_scales = np.concatenate([np.full(n, self.config.position_noise),
@@ -128,7 +128,7 @@ class SimulatedArm:
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = self.robot.require_state(positions)
         self._command: Array | None = None
-        self._drive: tuple[Array, Array, Array, Array] | None = None
+        self._servo: tuple[Array, Array, Array, Array] | None = None
         self._hand: Array | None = None
         self._external = np.zeros(self.robot.n)
         self._motor = np.zeros(self.robot.n)
@@ -146,7 +146,7 @@ class SimulatedArm:
             ShapeError: Another number of joints.
             InputError: Not finite.
         """
-        self._drive = None
+        self._servo = None
         self._command = None if torque is None else frozen_array("torque command", torque, (self.robot.n,))
 
     def drive(self, target: ArrayLike, velocities: ArrayLike, stiffness: ArrayLike) -> None:
@@ -168,7 +168,7 @@ class SimulatedArm:
         gains = frozen_array("stiffness of a set-point", stiffness, n)
         part = np.sqrt(np.maximum(gains, 0.0) / np.maximum(self.robot.config.stiffness, 1e-9))
         damping = np.maximum(part, 0.5) * np.array(self.robot.config.damping)
-        self._drive = (frozen_array("set-point", target, n), frozen_array("its velocities", velocities, n), gains,
+        self._servo = (frozen_array("set-point", target, n), frozen_array("its velocities", velocities, n), gains,
                        damping)
 
     def push(self, wrench: ArrayLike) -> None:
@@ -201,8 +201,8 @@ class SimulatedArm:
             self._draw_noise()
 
     def _motor_torque(self) -> Array:
-        if self._drive is not None:
-            target, velocities, gains, damping = self._drive
+        if self._servo is not None:
+            target, velocities, gains, damping = self._servo
             weight = self.robot.gravity(self.data.qpos)
             return weight + gains * (target - self.data.qpos) + damping * (velocities - self.data.qvel)
         if self._command is not None and not self.robot.config.compensates_gravity:
@@ -272,7 +272,7 @@ class SimulatedArm:
         Returns:
             Torques of the last step with noise, shape (n,) [Nm].
         """
-        return self._drive.read(self._motor)
+        return self._torque_sensor.read(self._motor)
 
     def wrist_wrench(self) -> Array:
         """Measure the wrench of hand and payload with a sensor at the tool.
