@@ -143,7 +143,7 @@ def record_lesson(robot_name: str, task: str, letters: str, seed: int, out: Path
 
 def _tap(log: BagLog, robot: RobotModel) -> None:
     """Let the lesson's own parts write down what passes through them."""
-    train, plan = lesson.train_reward, lesson.plan_motion
+    train, plan = lesson.learn_reward, lesson.plan_motion
     given: set[str] = set()
 
     class Capture(FeedbackCapture):
@@ -164,9 +164,9 @@ def _tap(log: BagLog, robot: RobotModel) -> None:
             return super().observe_teaching(time, mode, motion_id, motion_time)
 
     class Detector(ContactDetector):
-        def update(self, time: float, torque: Any, velocities: Any) -> ContactSample:
+        def update(self, time: float, torque: Any, velocities: Any, positions: Any = None) -> ContactSample:
             log.torque(time, torque)
-            return super().update(time, torque, velocities)
+            return super().update(time, torque, velocities, positions)
 
     def training(dataset: Any, *arguments: Any, **named: Any) -> Any:
         for item in dataset.items:
@@ -183,7 +183,7 @@ def _tap(log: BagLog, robot: RobotModel) -> None:
         return found
 
     rig.FeedbackCapture, rig.ContactDetector = Capture, Detector
-    lesson.train_reward, lesson.plan_motion = training, planning
+    lesson.learn_reward, lesson.plan_motion = training, planning
 
 
 def cut(bag: Path, out: Path) -> None:

@@ -68,17 +68,17 @@ def test_an_independent_reader_understands_each_type_by_the_recorded_definition(
 def captured_again(bag, robot):
     """Feed the recorded sensors to the capture code as the node does."""
     recorded, capture = RecordedMessages(bag), FeedbackCapture(robot)
-    detector = ContactDetector(robot.config.contact_thresholds)
+    detector = ContactDetector(robot.config.contact_thresholds, robot=robot)
     states, torques = JointReader(robot.joint_names), JointReader(robot.joint_names)
-    velocities, found = np.zeros(robot.n), []
+    velocities, positions, found = np.zeros(robot.n), np.zeros(robot.n), []
     for message in read_bag(bag, ["/joint_states", "/external_torques", "/teaching_state", "/trajectory"]):
         if message.topic == "/joint_states":
             state = states.state(recorded.installed_bytes(message))
-            velocities = state.velocities
+            velocities, positions = state.velocities, state.positions
             capture.observe_state(state)
         elif message.topic == "/external_torques":
             time, torque = torques.torques(recorded.installed_bytes(message), "external torques")
-            capture.observe_contact(detector.update(time, torque, velocities))
+            capture.observe_contact(detector.update(time, torque, velocities, positions))
         elif message.topic == "/trajectory":
             msg = recorded.read(message)
             capture.observe_trajectory(msg.header.frame_id, trajectory_from_msg(msg, robot.joint_names))

@@ -57,16 +57,17 @@ def test_the_bag_keeps_to_every_rule_of_the_format():
 def captured_again(robot):
     """Feed the recorded sensors to the capture code as the node does."""
     capture = FeedbackCapture(robot)
-    detector = ContactDetector(robot.config.contact_thresholds)
+    detector = ContactDetector(robot.config.contact_thresholds, robot=robot)
     states, torques = JointReader(robot.joint_names), JointReader(robot.joint_names)
-    velocities, found = np.zeros(robot.n), []
+    velocities, positions, found = np.zeros(robot.n), np.zeros(robot.n), []
     for message in read_bag(BAG, topics=list(SEEN_BY_CAPTURE)):
         if message.topic == "/joint_states":
             state = states.state(message.data)
-            velocities = state.velocities
+            velocities, positions = state.velocities, state.positions
             capture.observe_state(state)
         elif message.topic == "/external_torques":
-            capture.observe_contact(detector.update(*torques.torques(message.data, "external torques"), velocities))
+            time, torque = torques.torques(message.data, "external torques")
+            capture.observe_contact(detector.update(time, torque, velocities, positions))
         elif message.topic == "/trajectory":
             msg = deserialize_message(message.data, JointTrajectory)
             capture.observe_trajectory(msg.header.frame_id, trajectory_from_msg(msg, robot.joint_names))
