@@ -24,9 +24,14 @@ def test_samples_that_came_while_it_had_no_processor_are_not_lost(ros_node, star
     heard = []
     ros_node.create_subscription(
         Contact, "contact", lambda msg: heard.append(seconds(msg.header.stamp)), subscriber_qos("contact", depth=1000))
-    torques = ros_node.create_publisher(JointState, "external_torques", publisher_qos("external_torques"))
-    spin_until(lambda: torques.get_subscription_count() > 0 and ros_node.count_publishers("contact") > 0)
-    call(GetParameters, "capture/get_parameters")
+    torques, states = (ros_node.create_publisher(JointState, topic, publisher_qos(topic))
+                       for topic in ("external_torques", "joint_states"))
+    spin_until(lambda: torques.get_subscription_count() > 0 and states.get_subscription_count() > 0
+               and ros_node.count_publishers("contact") > 0)
+    at_rest = JointState(name=NAMES, position=[0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8], velocity=[0.0] * 7)
+    at_rest.header.stamp = stamp(1.0)
+    states.publish(serialize_message(at_rest))
+    call(GetParameters, "capture/get_parameters")  # its answer comes when the state has been taken
     capture.send(signal.SIGSTOP)
     for k in range(200):
         msg = JointState(name=NAMES, effort=[0.0] * 7)

@@ -77,17 +77,20 @@ def test_the_dataset_counts_and_keeps_order():
     assert dataset.counts == (2, 1, 1)
 
 
-def test_undo_takes_the_last_or_the_named_and_keeps_names_taken():
+def test_undo_takes_the_last_or_the_named_and_adding_gives_it_back():
     dataset = FeedbackDataset("arm", JOINTS)
     for name in "abc":
         dataset.add(demonstration(name))
     assert dataset.undo("a").id == "a"
     assert dataset.undo().id == "c"
     assert [item.id for item in dataset.items] == ["b"]
-    with pytest.raises(InputError, match="already there"):
-        dataset.add(demonstration("a"))
     with pytest.raises(InputError, match="expected b, got zebra"):
         dataset.undo("zebra")
+    dataset.add(demonstration("a"))
+    assert [item.id for item in dataset.items] == ["a", "b"]
+    with pytest.raises(InputError, match="already there"):
+        dataset.add(demonstration("a"))
+    dataset.undo()
     dataset.undo()
     with pytest.raises(InputError, match="nothing to undo"):
         dataset.undo()

@@ -59,6 +59,16 @@ def test_undo_gives_the_model_that_would_have_been_learned_without_the_input(pan
     assert after.ensemble.feedback_ids == tuple(item.id for item in without.items)
 
 
+@pytest.mark.parametrize("undone", range(len(LETTERS)))
+def test_what_is_given_back_is_where_it_was(panda, items, undone):
+    dataset = dataset_of(panda, items)
+    dataset.undo(items[undone].id)
+    without = learned(panda, dataset).ensemble
+    dataset.add(items[undone])
+    assert [item.id for item in dataset.items] == [item.id for item in items]
+    assert weights(learned(panda, dataset, known=without)) == weights(learned(panda, dataset_of(panda, items)))
+
+
 def test_when_trainings_were_asked_for_makes_no_difference(panda, items):
     at_once = weights(learned(panda, dataset_of(panda, items)))
     for asked in ([1, 2, 3, 4, 5, 6], [1, 6], [4, 5, 6, 6], [2, 3, 6]):

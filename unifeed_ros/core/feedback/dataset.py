@@ -9,7 +9,7 @@ from unifeed_ros.core.feedback.items import FeedbackItem, Preference
 
 
 class FeedbackDataset:
-    """Append-only log of feedback; undoing an item hides it and keeps its name taken.
+    """Append-only log of feedback; undoing an item hides it, adding it again shows it in its old place.
 
     Attributes:
         robot: Robot that is taught.
@@ -55,18 +55,21 @@ class FeedbackDataset:
         return part
 
     def add(self, item: FeedbackItem) -> None:
-        """Append an item.
+        """Append an item; one that was undone counts again as it was, where it was.
 
         Args:
             item: What was taught.
 
         Raises:
-            InputError: It is of another robot, of other joints, or its name was used before.
+            InputError: It is of another robot, of other joints, or its name is in use.
         """
         if item.robot != self.robot:
             raise InputError(f"robot of {item.kind} {item.id}", expected=self.robot, got=item.robot)
         if item.joint_names != self.joint_names:
             raise InputError(f"joints of {item.kind} {item.id}", expected=self.joint_names, got=item.joint_names)
+        if item.id in self._undone:
+            self._undone.remove(item.id)
+            return
         if item.id in self._log:
             raise InputError(f"{item.kind} {item.id} is already there", mend="give each item a name of its own")
         self._log[item.id] = item
