@@ -15,6 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from unifeed_ros.core.capture.external import by_name
 from unifeed_ros.core.capture.external_torque import MOMENTUM, ExternalTorqueConfig
+from unifeed_ros.core.control.silence import Silence
 from unifeed_ros.core.errors import ConfigError, InputError
 from unifeed_ros.nodes.conversions import seconds, stamp, wrench_from_msg
 from unifeed_ros.nodes.joint_stream import JointReader, JointWriter
@@ -26,6 +27,8 @@ from unifeed_ros.simulation.arm import SimulatedArm
 
 SERVO_PART = 10.0
 """Stiffness of the arm as a position servo, as a part of the robot's [1]."""
+LONGEST_GAP = 0.010
+"""Time between two ticks beyond which this process itself was not awake, and commands may wait to be taken [s]."""
 LATE = 0.010
 """Wall-clock time from a state to its command that counts as late [s]."""
 
@@ -41,13 +44,15 @@ class SimulationConfig:
     command_timeout: float = 0.1
     """Time without a command after which the arm holds in gravity compensation [s]."""
     command_age: float = 0.03
-    """Simulated time since the state that a command answers, after which it is not obeyed any more [s]; torques that
-    late would throw the arm."""
+    """Simulated time since the state that a command answers, after which it is not obeyed, or not any more [s]; torques
+    that late would throw the arm."""
     hand_timeout: float = 0.1
     """Simulated time without a hand wrench after which the hand counts as gone [s]."""
     patience: float = 0.004
     """Simulated time that the physics runs on one command before it waits for the next, so that a busy machine makes
     the simulation slow and not unstable [s]; 0: it never waits, as a real arm does not."""
+    longest_wait: float = 0.05
+    """Time that the physics waits for a command [s]: the controller may itself wait for a state that was lost."""
     largest_lag: float = 0.05
     """Simulated time that is made up for at once when the machine was busy; more is dropped [s]."""
 
@@ -55,7 +60,7 @@ class SimulationConfig:
         """Reject speeds and times that cannot be kept."""
         if not 0.05 <= self.speed <= 20.0:
             raise ConfigError("speed of the simulation", expected="0.05 to 20", got=self.speed)
-        times = (self.command_timeout, self.command_age, self.hand_timeout, self.largest_lag)
+        times = (self.command_timeout, self.command_age, self.hand_timeout, self.largest_lag, self.longest_wait)
         if min(times) <= 0.0 or self.patience < 0.0:
             raise ConfigError("timeouts of the simulation", expected="> 0 s, patience >= 0 s")
 
@@ -78,7 +83,8 @@ class SimArmNode(UnifeedNode):
         self._state_writer = JointWriter(names, fields)
         self._publish_touch = make_sensor_output(self, self._arm, sensing)
         self._stride = max(1, math.ceil(self._config.speed))
-        self._commanded_at = self._pushed_at = self._answered = -math.inf
+        self._pushed_at = self._answered = -math.inf
+        self._silence, self._quiet = Silence(LONGEST_GAP), 0.0
         self._obeying = self._pushed = False
         self._began: float | None = None
         self._slipped = 0.0
@@ -98,23 +104,25 @@ class SimArmNode(UnifeedNode):
 
     def _on_command(self, data: bytes) -> None:
         try:
-            self._answered, torque = self._reader.torques(data, "commanded torques")
+            answered, torque = self._reader.torques(data, "commanded torques")
         except InputError as error:
             self.say(WARN, f"command refused, the arm holds: {error}")
             return
-        self._arm.command(torque)
-        self._obey()
+        if self._accepts(answered):
+            self._arm.command(torque)
+            self._obey(answered)
 
     def _on_setpoint(self, data: bytes) -> None:
         """Close the loop here, with the stiffness that came as effort."""
         try:
             state = self._setpoint_reader.state(data)
-            self._answered, stiffness = self._setpoint_reader.torques(data, "stiffness")
+            answered, stiffness = self._setpoint_reader.torques(data, "stiffness")
         except InputError as error:
             self.say(WARN, f"set-point refused, the arm holds: {error}")
             return
-        self._arm.drive(state.positions, state.velocities, stiffness)
-        self._obey()
+        if self._accepts(answered):
+            self._arm.drive(state.positions, state.velocities, stiffness)
+            self._obey(answered)
 
     def _on_trajectory(self, msg: JointTrajectory) -> None:
         """Go to the last point as a stiff servo."""
@@ -128,13 +136,23 @@ class SimArmNode(UnifeedNode):
         except InputError as error:
             self.say(WARN, f"trajectory refused, the arm holds: {error}")
             return
-        self._answered = seconds(msg.header.stamp)
-        self._arm.drive(positions, velocities, SERVO_PART * np.array(self._robot.config.stiffness))
-        self._obey()
+        answered = seconds(msg.header.stamp)
+        if self._accepts(answered):
+            self._arm.drive(positions, velocities, SERVO_PART * np.array(self._robot.config.stiffness))
+            self._obey(answered)
 
-    def _obey(self) -> None:
-        self._measure_latency(self._answered)
-        self._commanded_at, self._obeying = time.monotonic(), True
+    def _accepts(self, answered: float) -> bool:
+        """Take note of a command, and say whether it is obeyed."""
+        self._measure_latency(answered)
+        return self._is_recent(answered)
+
+    def _is_recent(self, answered: float) -> bool:
+        """Say whether a state is recent enough for the command that answers it."""
+        return self._arm.time - answered <= self._config.command_age
+
+    def _obey(self, answered: float) -> None:
+        self._answered, self._obeying = answered, True
+        self._silence.end()
 
     def _measure_latency(self, answered: float) -> None:
         """Take the wall-clock time from sending a state to getting the command that answers it."""
@@ -154,6 +172,7 @@ class SimArmNode(UnifeedNode):
     def _tick(self) -> None:
         speed = self._config.speed
         now = time.monotonic()
+        self._quiet = self._silence.look(now)
         if self._began is None:
             self._began = now - self._arm.time / speed
         due = (now - self._began) * speed - self._arm.time
@@ -174,9 +193,10 @@ class SimArmNode(UnifeedNode):
         """Say whether the physics waits for the controller's next command."""
         if not self._obeying:
             return False
-        if time.monotonic() - self._commanded_at > self._config.command_timeout:
+        if self._quiet > self._config.command_timeout:
             self._let_go()
-        return self._obeying and 0.0 < self._config.patience <= self._arm.time - self._answered
+        waits = self._quiet < self._config.longest_wait
+        return waits and self._obeying and 0.0 < self._config.patience <= self._arm.time - self._answered
 
     def _let_go(self) -> None:
         """Let the arm hold itself in gravity compensation."""
@@ -185,7 +205,7 @@ class SimArmNode(UnifeedNode):
 
     def _step(self) -> None:
         arm = self._arm
-        if self._obeying and arm.time - self._answered > self._config.command_age:
+        if self._obeying and not self._is_recent(self._answered):
             self._let_go()
         if self._pushed and arm.time - self._pushed_at > self._config.hand_timeout:
             arm.push(np.zeros(6))
