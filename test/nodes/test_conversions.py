@@ -182,3 +182,10 @@ def test_a_reward_model_cut_short_is_refused():
     message.activation = "relu"
     with pytest.raises(ConfigError, match="activation"):
         model_from_msg(message)
+
+
+def test_a_trajectory_with_a_point_of_another_length_is_refused():
+    message = trajectory_to_msg(some_trajectory())
+    message.points[1].velocities.append(0.0)
+    with pytest.raises(InputError, match="number of velocities"):
+        trajectory_from_msg(message)

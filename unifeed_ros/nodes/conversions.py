@@ -15,7 +15,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from unifeed_msgs.action import OptimizeTrajectory
 from unifeed_msgs.msg import Contact, Feedback, RewardModel, TaskContext, TeachingState, TrackedRun
 from unifeed_ros.core.capture.contact import ContactSample
-from unifeed_ros.core.capture.external import by_name
+from unifeed_ros.core.capture.external import joint_places
 from unifeed_ros.core.capture.feedback_capture import CapturedCorrections
 from unifeed_ros.core.control.command import Command
 from unifeed_ros.core.errors import InputError
@@ -73,19 +73,24 @@ def trajectory_from_msg(msg: JointTrajectory, names: Sequence[str] | None = None
         InputError: Joints are missing, or times, positions or lengths cannot be used.
     """
     wanted, points = tuple(names or msg.joint_names), msg.points
+    places = joint_places(msg.joint_names, wanted, "joints of the trajectory")
 
     def column(field: str) -> Array | None:
-        if not points or not all(len(getattr(p, field)) for p in points):
+        rows = [getattr(point, field) for point in points]
+        lengths = set(map(len, rows))
+        if not rows or 0 in lengths:
             return None
-        what = f"{field} of the trajectory"
-        return np.stack([by_name(msg.joint_names, getattr(p, field), wanted, what) for p in points])
+        if lengths != {len(msg.joint_names)}:
+            raise InputError(f"number of {field} of the trajectory", expected=f"{len(msg.joint_names)}, one a name",
+                             got=", ".join(map(str, sorted(lengths))))
+        return np.array(rows)[:, places]
 
     positions = column("positions")
     if positions is None:
         raise InputError("trajectory without positions", expected="at least two points", got=f"{len(points)} points")
-    return Trajectory(
-        joint_names=wanted, times=[seconds(p.time_from_start) for p in points],
-        positions=positions, velocities=column("velocities"), accelerations=column("accelerations"))
+    times = [seconds(point.time_from_start) for point in points]
+    return Trajectory(joint_names=wanted, times=times, positions=positions, velocities=column("velocities"),
+                      accelerations=column("accelerations"))
 
 
 def context_to_msg(context: Context) -> TaskContext:

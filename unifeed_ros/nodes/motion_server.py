@@ -16,7 +16,7 @@ from unifeed_ros.core.control.execution import ExecutionRecord
 from unifeed_ros.core.errors import InputError, UnifeedError
 from unifeed_ros.core.modes import TeachingMode
 from unifeed_ros.core.types import RobotState, Trajectory
-from unifeed_ros.nodes.conversions import trajectory_from_msg, trajectory_to_msg
+from unifeed_ros.nodes.conversions import header, trajectory_from_msg, trajectory_to_msg
 from unifeed_ros.nodes.node import UnifeedNode
 
 FEEDBACK_PERIOD = 0.1
@@ -79,7 +79,8 @@ class MotionServer:
         trajectory = trajectory_from_msg(handle.request.trajectory, self._controller.robot.joint_names)
         motion_id = handle.request.motion_id or f"motion at {state.time:.3f} s"
         self._controller.track(trajectory, motion_id, state)
-        self._trajectories.publish(trajectory_to_msg(trajectory, state.time, motion_id))
+        handle.request.trajectory.header = header(state.time, motion_id)
+        self._trajectories.publish(handle.request.trajectory)
         self._execution = _Execution(handle, ExecutionRecord(trajectory, state.time), trajectory,
                                      Future(executor=self._node.executor))
         return self._execution

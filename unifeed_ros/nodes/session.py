@@ -35,8 +35,6 @@ from unifeed_ros.nodes.waiting import Interrupted, LessonError, Waiting
 LETTERS = {Feedback.DEMONSTRATION: "D", Feedback.CORRECTION: "C", Feedback.PREFERENCE: "P"}
 STATE_PERIOD = 0.1
 """Time between two messages on `lesson_state` [s]."""
-LONGEST_GAP = 3.0 * STATE_PERIOD
-"""Time between two looks at the nodes beyond which this process itself was not awake [s]."""
 FINAL_PHASES = (LessonState.READY, LessonState.PAUSED, LessonState.FAULT)
 
 
@@ -127,7 +125,7 @@ class SessionNode(UnifeedNode):
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
             name = status.name.removeprefix(DIAGNOSTICS_PREFIX)
-            self._silences.setdefault(name, Silence(LONGEST_GAP)).end()
+            self._silences.setdefault(name, Silence(STATE_PERIOD)).end()
 
     def _tick(self) -> None:
         dead = self._dead_nodes() if self._phase != LessonState.WAITING else []

@@ -36,8 +36,6 @@ STATE_PERIOD = 0.01
 """Time between two messages on `teaching_state` while the mode stays [s]."""
 WATCH_PERIOD = 0.02
 """Time between two looks at what comes [s]."""
-LONGEST_GAP = 3.0 * WATCH_PERIOD
-"""Time between two looks beyond which this process itself was not awake [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +77,7 @@ class SharedControlNode(ManagedNode):
         self._state: RobotState | None = None
         self._torque: Array | None = None
         self._torque_time = self._commanded = self._sent_state = 0.0
-        self._state_silence, self._session_silence = Silence(LONGEST_GAP), Silence(LONGEST_GAP)
+        self._state_silence, self._session_silence = Silence(WATCH_PERIOD), Silence(WATCH_PERIOD)
         self._session_seen = False
         self._last: Command | None = None
         self._connect()

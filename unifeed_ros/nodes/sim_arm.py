@@ -27,8 +27,8 @@ from unifeed_ros.simulation.arm import SimulatedArm
 
 SERVO_PART = 10.0
 """Stiffness of the arm as a position servo, as a part of the robot's [1]."""
-LONGEST_GAP = 0.010
-"""Time between two ticks beyond which this process itself was not awake, and commands may wait to be taken [s]."""
+TICK_PERIOD = 0.004
+"""Time in which a tick comes while this process is awake, also on a busy machine [s]."""
 LATE = 0.010
 """Wall-clock time from a state to its command that counts as late [s]."""
 
@@ -84,7 +84,7 @@ class SimArmNode(UnifeedNode):
         self._publish_touch = make_sensor_output(self, self._arm, sensing)
         self._stride = max(1, math.ceil(self._config.speed))
         self._pushed_at = self._answered = -math.inf
-        self._silence, self._quiet = Silence(LONGEST_GAP), 0.0
+        self._silence, self._quiet = Silence(TICK_PERIOD), 0.0
         self._obeying = self._pushed = False
         self._began: float | None = None
         self._slipped = 0.0

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 
+PAUSE = 3.0
+"""Gap between two looks, in periods, beyond which this process itself was not awake [1]."""
+
+
 class Silence:
     """Time without news, counted in looks.
 
-    A process that got no processor for a while has not looked either: what came meanwhile still waits to be taken. Of
-    such a gap between two looks only `longest_gap` counts, so that a busy machine is not taken for a dead sender.
+    A process that got no processor for a while has not looked either: what came meanwhile still waits to be taken. Such
+    a gap counts as one period, so that a busy machine is not taken for a dead sender, and a dead one is still noticed.
 
     Args:
-        longest_gap: Longest time between two looks that counts in full [s].
+        period: Time between two looks while this process is awake [s].
     """
 
-    def __init__(self, longest_gap: float) -> None:
-        self._longest_gap = longest_gap
+    def __init__(self, period: float) -> None:
+        self._period = period
         self._looked: float | None = None
         self._seconds = 0.0
 
@@ -32,6 +36,7 @@ class Silence:
             Time since the last news in which this process was awake [s].
         """
         if self._looked is not None:
-            self._seconds += min(max(now - self._looked, 0.0), self._longest_gap)
+            gap = max(now - self._looked, 0.0)
+            self._seconds += gap if gap <= PAUSE * self._period else self._period
         self._looked = now
         return self._seconds
