@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.task import Future
 
 from unifeed_msgs.action import ExecuteTrajectory
 from unifeed_ros.core.control.command import Command
@@ -17,6 +16,7 @@ from unifeed_ros.core.errors import InputError, UnifeedError
 from unifeed_ros.core.modes import TeachingMode
 from unifeed_ros.core.types import RobotState, Trajectory
 from unifeed_ros.nodes.conversions import header, trajectory_from_msg, trajectory_to_msg
+from unifeed_ros.nodes.deferred import DeferredActionServer
 from unifeed_ros.nodes.node import UnifeedNode
 
 FEEDBACK_PERIOD = 0.1
@@ -30,7 +30,6 @@ class _Execution:
     handle: ServerGoalHandle
     record: ExecutionRecord
     trajectory: Trajectory
-    done: Future
     fed_back: float = 0.0
 
 
@@ -47,9 +46,8 @@ class MotionServer:
         self._node, self._controller, self._ready = node, controller, ready
         self._trajectories = node.advertise("trajectory")
         self._execution: _Execution | None = None
-        self._server = ActionServer(
-            node, ExecuteTrajectory, "execute_trajectory", self._on_execute, goal_callback=self._on_goal,
-            cancel_callback=lambda _: CancelResponse.ACCEPT)
+        self._server = DeferredActionServer(node, ExecuteTrajectory, "execute_trajectory", self._on_execute,
+                                            goal_callback=self._on_goal)
 
     @property
     def busy(self) -> bool:
@@ -64,15 +62,15 @@ class MotionServer:
     def _on_goal(self, _: ExecuteTrajectory.Goal) -> GoalResponse:
         return GoalResponse.REJECT if self.busy else GoalResponse.ACCEPT
 
-    async def _on_execute(self, handle: ServerGoalHandle) -> ExecuteTrajectory.Result:
+    def _on_execute(self, handle: ServerGoalHandle) -> None:
         try:
-            execution = self._begin(handle)
+            self._begin(handle)
         except UnifeedError as error:
             handle.abort()
-            return ExecuteTrajectory.Result(message=str(error))
-        return await execution.done
+            result = ExecuteTrajectory.Result(message=str(error))
+            self._server.finish(handle, lambda _: result)
 
-    def _begin(self, handle: ServerGoalHandle) -> _Execution:
+    def _begin(self, handle: ServerGoalHandle) -> None:
         state = self._ready()
         if self.busy:
             raise InputError("a motion is under way", mend="wait for its end or cancel it")
@@ -81,9 +79,7 @@ class MotionServer:
         self._controller.track(trajectory, motion_id, state)
         handle.request.trajectory.header = header(state.time, motion_id)
         self._trajectories.publish(handle.request.trajectory)
-        self._execution = _Execution(handle, ExecutionRecord(trajectory, state.time), trajectory,
-                                     Future(executor=self._node.executor))
-        return self._execution
+        self._execution = _Execution(handle, ExecutionRecord(trajectory, state.time), trajectory)
 
     def follow(self, state: RobotState, command: Command) -> None:
         """Take in one tick of the controller; ends the action when the motion has ended.
@@ -129,4 +125,4 @@ class MotionServer:
             execution.handle.canceled()
         else:
             execution.handle.abort()
-        execution.done.set_result(result)
+        self._server.finish(execution.handle, lambda _: result)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from concurrent.futures import Future
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.task import Future
 
 from unifeed_msgs.msg import Feedback, PreferenceQuery, RewardStatus, TaskContext, TrackedRun
 from unifeed_msgs.srv import (
@@ -39,6 +39,7 @@ from unifeed_ros.nodes.conversions import (
     trajectory_from_msg,
     trajectory_to_msg,
 )
+from unifeed_ros.nodes.deferred import patiently
 from unifeed_ros.nodes.node import ERROR, OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
@@ -140,12 +141,12 @@ class RewardLearnerNode(UnifeedNode):
             return response
         self._under_way += 1
         self._publish_status_message()
-        done: Future = Future(executor=self.executor)
+        done: Future[TrainingResult] = Future()
         number = self._worker.train(
             done, self._dataset, self._robot, self._training, from_scratch=request.from_scratch,
             version=self._version + 1, seed=self._questions.seed, known=self._known)
         try:
-            result = await done
+            result = await patiently(done)
             self._worker.require_newest(number)
             self._finish(result, response)
             if not request.from_scratch:
@@ -188,9 +189,9 @@ class RewardLearnerNode(UnifeedNode):
                 raise InputError("no motions to compare", mend="teach a demonstration, or give candidates")
             self._queries_asked += 1
             number = self._queries_asked
-            done: Future = Future(executor=self.executor)
+            done: Future[ChosenQuery] = Future()
             self._worker.choose(done, model, given, self._robot, context, self._questions, self._training, number)
-            self._query = response.query = self._query_message(await done, number, context)
+            self._query = response.query = self._query_message(await patiently(done), number, context)
             response.success, response.message = True, self._query.message
         except UnifeedError as error:
             response.success, response.message = False, str(error)

@@ -9,15 +9,13 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future as PoolFuture
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.sharedctypes import Synchronized
 from typing import Any
 
 import numpy as np
-from rclpy.task import Future
 
 from unifeed_ros.core.errors import TrainingError, UnifeedError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
@@ -62,7 +60,7 @@ class TrainingWorker:
         """Share of the training under way that is done, 0 to 1."""
         return float(self._shared.value)
 
-    def train(self, done: Future, dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig,
+    def train(self, done: Future[Any], dataset: FeedbackDataset, robot: RobotModel, config: TrainingConfig,
               *, from_scratch: bool, **arguments: Any) -> int:
         """Start a training; an older one that is not done ends with a TrainingError that says so.
 
@@ -93,7 +91,7 @@ class TrainingWorker:
         """
         _require_newest(number, self._newest)
 
-    def choose(self, done: Future, ensemble: RewardEnsemble, given: Sequence[Trajectory], robot: RobotModel,
+    def choose(self, done: Future[Any], ensemble: RewardEnsemble, given: Sequence[Trajectory], robot: RobotModel,
                context: Context, config: QueryConfig, training: TrainingConfig, number: int) -> None:
         """Start to choose a question; it waits for a training that is under way.
 
@@ -109,7 +107,7 @@ class TrainingWorker:
         """
         self._start(done, _choose, ensemble, given, robot.config, context, config, training, number)
 
-    def _start(self, done: Future, work: Callable[..., Any], *arguments: Any) -> None:
+    def _start(self, done: Future[Any], work: Callable[..., Any], *arguments: Any) -> None:
         try:
             started = self._pool.submit(work, *arguments)
         except RuntimeError as error:
@@ -124,7 +122,7 @@ class TrainingWorker:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _hand_over(finished: PoolFuture[Any], done: Future) -> None:
+def _hand_over(finished: Future[Any], done: Future) -> None:
     error = finished.exception() if not finished.cancelled() else TrainingError("the training was canceled")
     if error is None:
         done.set_result(finished.result())

@@ -7,10 +7,7 @@ import sys
 import threading
 
 import numpy as np
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.task import Future
 
 from unifeed_msgs.action import OptimizeTrajectory
 from unifeed_msgs.msg import RewardModel
@@ -19,6 +16,7 @@ from unifeed_ros.core.planning.plan import Plan, PlannerConfig, PlanProgress, To
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.types import Array, Context
 from unifeed_ros.nodes.conversions import constrained, context_from_msg, model_from_msg, trajectory_to_msg
+from unifeed_ros.nodes.deferred import DeferredActionServer
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
@@ -29,8 +27,6 @@ NICENESS = 5
 
 class TrajectoryOptimizerNode(UnifeedNode):
     """Answer `optimize_trajectory` with the newest reward model."""
-
-    answers_later = True
 
     def __init__(self) -> None:
         super().__init__("trajectory_optimizer")
@@ -44,10 +40,7 @@ class TrajectoryOptimizerNode(UnifeedNode):
         self._last: Array | None = None
         self._previews = self.advertise("trajectory_preview")
         self.listen("reward_model", self._on_model)
-        self._server = ActionServer(
-            self, OptimizeTrajectory, "optimize_trajectory", self._on_execute,
-            goal_callback=lambda _: GoalResponse.ACCEPT, cancel_callback=lambda _: CancelResponse.ACCEPT,
-            callback_group=ReentrantCallbackGroup())  # while a coroutine waits, its group runs nothing else
+        self._server = DeferredActionServer(self, OptimizeTrajectory, "optimize_trajectory", self._on_execute)
         self.say(OK, "no reward model yet: the smoothest motion is planned")
 
     def _on_model(self, msg: RewardModel) -> None:
@@ -62,38 +55,36 @@ class TrajectoryOptimizerNode(UnifeedNode):
         self._model = model
         self.say(OK, f"plans with reward model {model.version}")
 
-    async def _on_execute(self, handle: ServerGoalHandle) -> OptimizeTrajectory.Result:
-        done: Future = Future(executor=self.executor)
-        threading.Thread(target=self._plan, args=(handle, self._model, done), name="planning").start()
-        result = OptimizeTrajectory.Result()
+    def _on_execute(self, handle: ServerGoalHandle) -> None:
+        threading.Thread(target=self._plan, args=(handle, self._model), name="planning").start()
+
+    def _plan(self, handle: ServerGoalHandle, model: RewardEnsemble | None) -> None:
+        """Plan in a thread of its own; whatever happens reaches the action's result."""
+        result, status = OptimizeTrajectory.Result(status="infeasible"), "infeasible"
         try:
-            plan, model = await done
+            goal = handle.request
+            model = None if goal.smoothest else model
+            context = context_from_msg(goal.context) if goal.context.task else self._scene.context()
+            plan = self._search(handle, model, context)
+            self._fill(result, plan, model, context)
+            status = plan.status
         except UnifeedError as error:
-            result.message, result.status = str(error), "infeasible"
-            handle.abort()
-            return result
-        self._fill(result, plan, model, handle.request)
-        if plan.status == "canceled":
+            result.message = str(error)
+        except Exception as error:  # a fault of the search must not leave the action without a result
+            self.get_logger().error(f"planning failed: {error!r}")
+            result.message = str(PlanningError("planning failed", got=repr(error), mend="see the log"))
+        self._server.finish(handle, lambda _: self._conclude(handle, result, status))
+
+    def _conclude(self, handle: ServerGoalHandle, result: OptimizeTrajectory.Result,
+                  status: str) -> OptimizeTrajectory.Result:
+        if status == "canceled":
             handle.canceled()
-        elif plan.success:
+        elif result.success:
             self._previews.publish(result.trajectory)
             handle.succeed()
         else:
             handle.abort()
         return result
-
-    def _plan(self, handle: ServerGoalHandle, model: RewardEnsemble | None, done: Future) -> None:
-        """Plan in a thread of its own; whatever happens reaches the action's result."""
-        try:
-            goal = handle.request
-            model = None if goal.smoothest else model
-            context = context_from_msg(goal.context) if goal.context.task else self._scene.context()
-            done.set_result((self._search(handle, model, context), model))
-        except UnifeedError as error:
-            done.set_exception(error)
-        except Exception as error:  # a fault of the search must not leave the action without a result
-            self.get_logger().error(f"planning failed: {error!r}")
-            done.set_exception(PlanningError("planning failed", got=repr(error), mend="see the log"))
 
     def _search(self, handle: ServerGoalHandle, model: RewardEnsemble | None, context: Context) -> Plan:
         goal = handle.request
@@ -143,14 +134,13 @@ class TrajectoryOptimizerNode(UnifeedNode):
             best=float(progress.best)))
 
     def _fill(self, result: OptimizeTrajectory.Result, plan: Plan, model: RewardEnsemble | None,
-              goal: OptimizeTrajectory.Goal) -> None:
+              context: Context) -> None:
         result.success, result.message, result.status = plan.success, plan.message, plan.status
         result.iterations, result.seconds = int(plan.iterations), float(plan.seconds)
         result.objective, result.first_feasible_s = float(plan.objective), float(plan.first_feasible)
         if plan.success:
             result.trajectory = trajectory_to_msg(plan.trajectory)
         if model is not None:
-            context = context_from_msg(goal.context) if goal.context.task else self._scene.context()
             rewards = model.member_rewards(self._robot.tool_states(plan.waypoints), context)
             result.reward = list(map(float, rewards.mean(axis=0)))
             result.disagreement = list(map(float, rewards.std(axis=0)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 PAUSE = 3.0
 """Gap between two looks, in periods, beyond which this process itself was not awake [1]."""
 
