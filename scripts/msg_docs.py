@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from unifeed_ros.nodes.services import SERVICES, Service
-from unifeed_ros.nodes.topics import SENSOR, TOPICS, Topic, publisher_qos
+from unifeed_ros.nodes.topics import SENSOR, STREAM, TOPICS, Topic, publisher_qos
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ROOT / "msg_docs"
@@ -82,7 +82,7 @@ def quality(topic: Topic) -> str:
     profile = publisher_qos(topic)
     kept = f"keep last {profile.depth}"
     durability = profile.durability.short_key.replace("_", " ")
-    readers = "; nodes read best effort" if topic.qos == SENSOR else ""
+    readers = "; nodes read best effort" if topic.qos in (SENSOR, STREAM) else ""
     return f"{profile.reliability.short_key}, {durability}, {kept}{readers}"
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 SENSOR, EVENT, LATCHED, STREAM = "sensor", "event", "latched", "stream"
-"""Names of the qualities of service: fast states, things that must all arrive, newest value kept, the rest."""
+"""Names of the qualities of service: fast states, things that must all arrive, newest value kept, what comes again."""
 
 PUBLISHER_DEPTH = {SENSOR: 3000, EVENT: 100, LATCHED: 10, STREAM: 500}
 """Messages kept for a reliable reader that is late; seconds of each, or a recorder on a busy machine loses some."""
@@ -133,8 +133,9 @@ def publisher_qos(topic: Topic | str) -> QoSProfile:
 def subscriber_qos(topic: Topic | str, depth: int | None = None) -> QoSProfile:
     """Give the quality of service that a node subscribes with.
 
-    Fast states are taken best-effort, because a reliable subscriber silently receives nothing from the best-effort
-    publishers of real robots, and because an old state is worth less than none.
+    What comes again by itself is taken best-effort. A reliable subscriber silently receives nothing from best-effort
+    publishers, as those of real robots are; and once it has missed a message it keeps the newer ones back until that
+    one has been sent again, which takes up to three seconds: an old state is worth less than none.
 
     Args:
         topic: Topic of the table, or its name.
@@ -145,7 +146,8 @@ def subscriber_qos(topic: Topic | str, depth: int | None = None) -> QoSProfile:
         The profile.
     """
     topic = find_topic(topic) if isinstance(topic, str) else topic
-    return _profile(depth or SUBSCRIBER_DEPTH[topic.qos], latched=topic.latched, reliable=topic.qos != SENSOR)
+    return _profile(depth or SUBSCRIBER_DEPTH[topic.qos], latched=topic.latched,
+                    reliable=topic.qos in (EVENT, LATCHED))
 
 
 def recorder_qos(topic: Topic | str) -> QoSProfile:
