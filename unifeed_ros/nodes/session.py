@@ -35,6 +35,9 @@ from unifeed_ros.nodes.waiting import Interrupted, LessonError, Waiting
 LETTERS = {Feedback.DEMONSTRATION: "D", Feedback.CORRECTION: "C", Feedback.PREFERENCE: "P"}
 STATE_PERIOD = 0.1
 """Time between two messages on `lesson_state` [s]."""
+STEADY_S, STEADY_GAP, STEADY_PATIENCE = 0.7, 0.1, 10.0
+"""How long the arm's states must have come without a gap before it is led, what counts as a gap, and the longest wait
+for it [s]: nodes that have just found each other may stall."""
 FINAL_PHASES = (LessonState.READY, LessonState.PAUSED, LessonState.FAULT)
 
 
@@ -89,6 +92,7 @@ class SessionNode(UnifeedNode):
         self._back: threading.Thread | None = None
         self._silences: dict[str, Silence] = {}
         self._teaching: TeachingState | None = None
+        self._heard = self._steady_since = 0.0
         self._connect()
         self._worker = threading.Thread(target=self._work, name="lesson", daemon=True)
         self._worker.start()
@@ -120,7 +124,10 @@ class SessionNode(UnifeedNode):
         self._model = msg
 
     def _on_teaching(self, msg: TeachingState) -> None:
-        self._teaching = msg
+        now = time.monotonic()
+        if now - self._heard > STEADY_GAP:
+            self._steady_since = now
+        self._teaching, self._heard = msg, now
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
@@ -226,6 +233,9 @@ class SessionNode(UnifeedNode):
             if said_now != said:
                 self._enter(LessonState.WAITING, said := said_now)
             time.sleep(0.1)
+        patience = time.monotonic() + STEADY_PATIENCE
+        while (now := time.monotonic()) < min(patience, self._steady_since + STEADY_S):
+            time.sleep(max(0.0, min(0.1, self._steady_since + STEADY_S - now)))
         self._activator.activate(self._waiting)
         self._mode(SetMode.Request.HOLD)
         self._return_to_start()
