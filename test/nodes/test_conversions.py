@@ -76,6 +76,8 @@ def test_joints_are_mapped_by_name_not_by_place():
 def test_a_trajectory_without_points_or_joints_is_refused():
     with pytest.raises(InputError, match="without positions"):
         trajectory_from_msg(JointTrajectory(joint_names=list(NAMES)))
+    with pytest.raises(InputError, match="without positions"):
+        trajectory_from_msg(JointTrajectory(), NAMES)
     with pytest.raises(InputError, match="lack joints d"):
         trajectory_from_msg(trajectory_to_msg(some_trajectory()), ("a", "d"))
 

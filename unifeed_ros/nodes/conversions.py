@@ -73,12 +73,14 @@ def trajectory_from_msg(msg: JointTrajectory, names: Sequence[str] | None = None
         InputError: Joints are missing, or times, positions or lengths cannot be used.
     """
     wanted, points = tuple(names or msg.joint_names), msg.points
-    places = joint_places(msg.joint_names, wanted, "joints of the trajectory")
+    if not points:
+        raise InputError("trajectory without positions", expected="at least two points", got="none")
+    places = joint_places(msg.joint_names, wanted, "the trajectory")
 
     def column(field: str) -> Array | None:
         rows = [getattr(point, field) for point in points]
         lengths = set(map(len, rows))
-        if not rows or 0 in lengths:
+        if 0 in lengths:
             return None
         if lengths != {len(msg.joint_names)}:
             raise InputError(f"number of {field} of the trajectory", expected=f"{len(msg.joint_names)}, one a name",
