@@ -19,8 +19,14 @@ demo: setup
 	@if [ -e out/demo ]; then mv out/demo out/demo-$$(date -r out/demo +%Y%m%d-%H%M%S); fi
 	$(BIN)/unifeed demo --out out/demo $(DEMO_ARGS)
 
+# Tests that start nodes want the machine for themselves; of the rest, two files run at once.
 test: setup
-	$(BIN)/python -m pytest --durations=10 $(TEST_ARGS)
+ifdef TEST_ARGS
+	$(BIN)/python -m pytest $(TEST_ARGS)
+else
+	$(BIN)/python -m pytest --ignore test/ros --numprocesses 2 --dist loadfile --durations=10
+	$(BIN)/python -m pytest test/ros --durations=10
+endif
 
 lint: setup
 	$(BIN)/ruff check .

@@ -27,13 +27,14 @@ from unifeed_ros.cli.arguments import session_files
 from unifeed_ros.core.capture.contact import ContactDetector, ContactSample
 from unifeed_ros.core.capture.feedback_capture import Captured, FeedbackCapture
 from unifeed_ros.core.config import load_parameters
+from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.modes import TeachingMode
 from unifeed_ros.core.recording import BagMessage, BagWriter, Qos, RecordedTopic, bag_settings, message_type, read_bag
 from unifeed_ros.core.recording.reader import SETTINGS_KEY
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
 from unifeed_ros.core.types import RobotState, Trajectory
-from unifeed_ros.nodes.conversions import feedback_to_msg, header, model_to_msg, trajectory_to_msg
+from unifeed_ros.nodes.conversions import feedback_from_msg, feedback_to_msg, header, model_to_msg, trajectory_to_msg
 from unifeed_ros.nodes.joint_stream import JointWriter
 from unifeed_ros.nodes.recorded import RecordedMessages
 from unifeed_ros.nodes.topics import find_topic
@@ -169,11 +170,14 @@ def _tap(log: BagLog, robot: RobotModel) -> None:
             return super().update(time, torque, velocities, positions)
 
     def training(dataset: Any, *arguments: Any, **named: Any) -> Any:
+        heard = FeedbackDataset(robot.config.name, robot.joint_names)  # as messages carry it, stamps to the nanosecond
         for item in dataset.items:
+            message = feedback_to_msg(item, log.time, robot.config.base_frame)
+            heard.add(feedback_from_msg(message, robot.joint_names))
             if item.id not in given:
                 given.add(item.id)
-                log.say("/feedback", feedback_to_msg(item, log.time, robot.config.base_frame))
-        result = train(dataset, *arguments, **named)
+                log.say("/feedback", message)
+        result = train(heard, *arguments, **named)
         log.say("/reward_model", model_to_msg(result.ensemble, log.time))
         return result
 
