@@ -19,8 +19,9 @@ def start_session(start_node, bag=None, changes=None, **setup):
     changes are parameters by node name that the table does not give.
     """
     processes = {}
+    changes = {"session": {"session.steady": 0.7}, **(changes or {})}
     for spec in node_table(SessionSetup(parameter_files=session_files(), bag=bag, **setup)):
-        parameters = {**spec.parameters, **(changes or {}).get(spec.executable, {})}
+        parameters = {**spec.parameters, **changes.get(spec.executable, {})}
         processes[spec.executable] = start_node(spec.executable, parameters, parameter_files=spec.parameter_files)
     return processes
 

@@ -196,6 +196,18 @@ def test_a_motion_is_carried_out_stopped_and_recovered_from(session, call):
     session.spin_until(lambda: session.teaching.mode == TeachingState.HOLD, 10.0)
 
 
+def test_a_demonstration_that_is_stopped_says_so_and_begins_anew_after_a_reset(session, call):
+    assert call(Trigger, "start_demonstration").success
+    session.wait_phase(LessonState.DEMONSTRATING)
+    assert call(Trigger, "stop").success
+    session.wait_phase(LessonState.FAULT, 5.0)
+    assert "called stop" in session.lesson.message and "reset" in session.lesson.message
+    assert call(Trigger, "reset").success
+    session.wait_phase(LessonState.READY)
+    assert call(Trigger, "start_demonstration").success
+    session.wait_phase(LessonState.DEMONSTRATING)
+
+
 def test_pause_and_reset_while_the_arm_moves(session, call):
     assert call(Trigger, "run").success
     session.wait_phase(LessonState.RUNNING)

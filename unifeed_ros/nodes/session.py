@@ -35,9 +35,8 @@ from unifeed_ros.nodes.waiting import Interrupted, LessonError, Waiting
 LETTERS = {Feedback.DEMONSTRATION: "D", Feedback.CORRECTION: "C", Feedback.PREFERENCE: "P"}
 STATE_PERIOD = 0.1
 """Time between two messages on `lesson_state` [s]."""
-STEADY_S, STEADY_GAP, STEADY_PATIENCE = 0.7, 0.1, 10.0
-"""How long the arm's states must have come without a gap before it is led, what counts as a gap, and the longest wait
-for it [s]: nodes that have just found each other may stall."""
+STEADY_GAP, STEADY_PATIENCE = 0.1, 20.0
+"""Time without a state of the arm that counts as a gap, and the longest wait for states without gaps [s]."""
 FINAL_PHASES = (LessonState.READY, LessonState.PAUSED, LessonState.FAULT)
 
 
@@ -51,6 +50,8 @@ class SessionConfig:
     """Longest wait for what capture made of a motion [s]."""
     node_timeout: float = 5.0
     """A node that says nothing on /diagnostics for this long counts as dead [s]."""
+    steady: float = 3.0
+    """How long the arm's states must have come without a gap before it is led [s]: nodes that just met may stall."""
     required_nodes: tuple[str, ...] = ("shared_control", "capture", "reward_learner", "trajectory_optimizer")
     """Nodes without which no lesson runs."""
     save_folder: str = ""
@@ -59,9 +60,9 @@ class SessionConfig:
     def __post_init__(self) -> None:
         """Reject waits that never end or never begin."""
         object.__setattr__(self, "required_nodes", tuple(self.required_nodes))
-        if not (self.capture_timeout > 0 and self.node_timeout > 1.0):
-            raise ConfigError("session timeouts", expected="capture_timeout > 0 s, node_timeout > 1 s",
-                              got=f"{self.capture_timeout} s, {self.node_timeout} s")
+        if not (self.capture_timeout > 0 and self.node_timeout > 1.0 and self.steady >= 0.0):
+            raise ConfigError("session times", expected="capture_timeout > 0 s, node_timeout > 1 s, steady >= 0 s",
+                              got=f"{self.capture_timeout} s, {self.node_timeout} s, {self.steady} s")
 
 
 class SessionNode(UnifeedNode):
@@ -141,6 +142,9 @@ class SessionNode(UnifeedNode):
             self._fault(told)
             self._stop.call_async(Trigger.Request())
             self._cancel()
+        stopped = self._teaching is not None and self._teaching.mode == TeachingState.STOPPED
+        if stopped and self._phase == LessonState.DEMONSTRATING:  # a motion's end says it; here nobody would
+            self._fault(f"the arm {self._teaching.message}; reset, then start_demonstration")
         self._publish_state()
 
     def _dead_nodes(self) -> list[str]:
@@ -234,8 +238,8 @@ class SessionNode(UnifeedNode):
                 self._enter(LessonState.WAITING, said := said_now)
             time.sleep(0.1)
         patience = time.monotonic() + STEADY_PATIENCE
-        while (now := time.monotonic()) < min(patience, self._steady_since + STEADY_S):
-            time.sleep(max(0.0, min(0.1, self._steady_since + STEADY_S - now)))
+        while time.monotonic() < min(patience, self._steady_since + self._config.steady):
+            time.sleep(0.05)
         self._activator.activate(self._waiting)
         self._mode(SetMode.Request.HOLD)
         self._return_to_start()
