@@ -58,3 +58,17 @@ def test_it_can_be_switched_off():
 def test_priorities_that_do_not_exist_are_refused():
     with pytest.raises(ConfigError, match="0 to 99"):
         RealTimeConfig(priority=100)
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/autogroup"), reason="this kernel has no autogroups")
+@pytest.mark.parametrize("own_session", [True, False])
+def test_a_session_of_its_own_gives_way_and_one_that_is_shared_does_not(own_session):
+    code = ("import os, time; before = open('/proc/self/autogroup').read().split()[-1]\n"
+            "from unifeed_ros.nodes.real_time import give_way\n"
+            "give_way(7)\nprint(os.nice(0), before, open('/proc/self/autogroup').read().split()[-1])")
+    began = os.nice(0)
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True,
+                            start_new_session=own_session)
+    niceness, before, after = map(int, result.stdout.split())
+    assert niceness == min(began + 7, 19)
+    assert after == (7 if own_session else before)

@@ -6,6 +6,7 @@ rest goes on; with real-time priority it would not, and capture, learning and re
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import gc
 import os
@@ -54,6 +55,22 @@ def prefer_real_time(config: RealTimeConfig) -> str:
     scheduling = _schedule(config.priority)
     locked = config.lock_memory and _lock_memory()
     return scheduling + (", memory locked" if locked else "")
+
+
+def give_way(niceness: int, leader: int | None = None) -> None:
+    """Give up priority, so that what this process computes never delays the control loop on a machine with few cores.
+
+    Linux shares the processor between sessions first (autogroups), and niceness counts only within one: where a process
+    leads a session of its own, as `unifeed up` starts nodes, the session gives way too.
+
+    Args:
+        niceness: How much to give up, 0 to 19.
+        leader: Process that leads the session if it is the project's own; by default this process.
+    """
+    os.nice(niceness)
+    if os.getsid(0) == (leader or os.getpid()):
+        with contextlib.suppress(OSError):
+            Path("/proc/self/autogroup").write_text(str(niceness))
 
 
 def _schedule(priority: int) -> str:
