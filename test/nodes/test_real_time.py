@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -60,7 +61,7 @@ def test_priorities_that_do_not_exist_are_refused():
         RealTimeConfig(priority=100)
 
 
-@pytest.mark.skipif(not os.path.exists("/proc/self/autogroup"), reason="this kernel has no autogroups")
+@pytest.mark.skipif(not Path("/proc/self/autogroup").exists(), reason="this kernel has no autogroups")
 @pytest.mark.parametrize("own_session", [True, False])
 def test_a_session_of_its_own_gives_way_and_one_that_is_shared_does_not(own_session):
     code = ("import os, time; before = open('/proc/self/autogroup').read().split()[-1]\n"
