@@ -65,8 +65,8 @@ def test_priorities_that_do_not_exist_are_refused():
 @pytest.mark.parametrize("own_session", [True, False])
 def test_a_session_of_its_own_gives_way_and_one_that_is_shared_does_not(own_session):
     code = ("import os, time; before = open('/proc/self/autogroup').read().split()[-1]\n"
-            "from unifeed_ros.nodes.real_time import give_way\n"
-            "give_way(7)\nprint(os.nice(0), before, open('/proc/self/autogroup').read().split()[-1])")
+            "from unifeed_ros.nodes.real_time import set_niceness\n"
+            "set_niceness(7)\nprint(os.nice(0), before, open('/proc/self/autogroup').read().split()[-1])")
     began = os.nice(0)
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True,
                             start_new_session=own_session)

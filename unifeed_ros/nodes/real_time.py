@@ -1,7 +1,8 @@
 """Processor time when it is due: what the controller's process asks the system for, and what it got.
 
-Only the controller asks. Where all that a session runs wants more than there is, the simulated arm slows down and the
-rest goes on; with real-time priority it would not, and capture, learning and recording would starve.
+Only the controller asks for real-time priority. Where all that a session runs wants more than there is, the simulated
+arm slows down and the rest goes on; with real-time priority it would not, and capture, learning and recording would
+starve. Niceness is what the others differ by.
 """
 
 from __future__ import annotations
@@ -57,19 +58,19 @@ def prefer_real_time(config: RealTimeConfig) -> str:
     return scheduling + (", memory locked" if locked else "")
 
 
-def give_way(niceness: int, leader: int | None = None) -> None:
-    """Give up priority, so that what this process computes never delays the control loop on a machine with few cores.
+def set_niceness(niceness: int, leader: int | None = None) -> None:
+    """Give up priority, or ask for more; what is not permitted is left out.
 
     Linux shares the processor between sessions first (autogroups), and niceness counts only within one: where a process
-    leads a session of its own, as `unifeed up` starts nodes, the session gives way too.
+    leads a session of its own, as `unifeed up` starts nodes, that session gets the same niceness.
 
     Args:
-        niceness: How much to give up, 0 to 19.
+        niceness: Niceness added, -20 to 19; positive: what this process computes never delays the control loop.
         leader: Process that leads the session if it is the project's own; by default this process.
     """
-    os.nice(niceness)
-    if os.getsid(0) == (leader or os.getpid()):
-        with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError):
+        os.nice(niceness)
+        if os.getsid(0) == (leader or os.getpid()):
             Path("/proc/self/autogroup").write_text(str(niceness))
 
 

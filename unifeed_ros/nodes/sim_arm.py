@@ -21,10 +21,13 @@ from unifeed_ros.nodes.conversions import seconds, stamp, wrench_from_msg
 from unifeed_ros.nodes.joint_stream import JointReader, JointWriter
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
+from unifeed_ros.nodes.real_time import set_niceness
 from unifeed_ros.nodes.sensor_output import make_sensor_output
 from unifeed_ros.nodes.spin import run_node
 from unifeed_ros.simulation.arm import SimulatedArm
 
+NICENESS = -10
+"""Asked for: hardware does not wait for what else a machine computes."""
 SERVO_PART = 10.0
 """Stiffness of the arm as a position servo, as a part of the robot's [1]."""
 TICK_PERIOD = 0.004
@@ -70,6 +73,7 @@ class SimArmNode(UnifeedNode):
 
     def __init__(self) -> None:
         super().__init__("sim_arm")
+        set_niceness(NICENESS)
         self._robot = self.load_robot()
         scene = self.load_scene()
         self._config = settings(self, "simulation", SimulationConfig)

@@ -25,7 +25,7 @@ from unifeed_ros.core.reward.queries import QueryConfig, random_query, select_qu
 from unifeed_ros.core.robot import RobotConfig, RobotModel
 from unifeed_ros.core.types import Context, Trajectory
 from unifeed_ros.nodes.parent_death import end_with_parent
-from unifeed_ros.nodes.real_time import give_way
+from unifeed_ros.nodes.real_time import set_niceness
 
 NICENESS = 10
 """Priority given up, so that training never delays the control loop on a machine with few cores."""
@@ -145,7 +145,7 @@ def _warm_up() -> None:
     """Load what the first training would wait for, then give up priority."""
     import unifeed_ros.core.reward.learning  # noqa: F401
 
-    give_way(NICENESS, leader=os.getppid())
+    set_niceness(NICENESS, leader=os.getppid())
 
 
 def _train(number: int, dataset: FeedbackDataset, robot: RobotConfig, config: TrainingConfig, from_scratch: bool,

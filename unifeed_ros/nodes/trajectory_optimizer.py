@@ -18,7 +18,7 @@ from unifeed_ros.nodes.conversions import constrained, context_from_msg, model_f
 from unifeed_ros.nodes.deferred import DeferredActionServer
 from unifeed_ros.nodes.node import OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
-from unifeed_ros.nodes.real_time import give_way
+from unifeed_ros.nodes.real_time import set_niceness
 from unifeed_ros.nodes.spin import run_node
 
 NICENESS = 5
@@ -30,7 +30,7 @@ class TrajectoryOptimizerNode(UnifeedNode):
 
     def __init__(self) -> None:
         super().__init__("trajectory_optimizer")
-        give_way(NICENESS)
+        set_niceness(NICENESS)
         self._robot = self.load_robot()
         self._scene = self.load_scene()
         self._config = settings(self, "planner", PlannerConfig)
