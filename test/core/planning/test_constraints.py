@@ -81,7 +81,7 @@ def test_distances_to_spheres_are_the_closed_form(case):
         if not name.endswith("to zone ball"):
             continue
         capsule = capsules[name.removesuffix(" to zone ball")]
-        low, high = pose.points(capsule.body, capsule.ends)
+        low, high = (pose.rotations[capsule.body] @ end + pose.origins[capsule.body] for end in capsule.ends)
         shares = np.linspace(0.0, 1.0, 2001)[:, None, None]
         distances = np.linalg.norm(low + shares * (high - low) - zone.position, axis=2).min(axis=0)
         np.testing.assert_allclose(values[:, p], distances - capsule.radius - 0.15, atol=1e-6)
