@@ -24,7 +24,7 @@ _TABLE = "the table"
 _UP = np.array([0.0, 0.0, 1.0])
 _POINT = 1e-12
 """Square of the length below which a segment is a point [m^2]."""
-_PARALLEL = 1e-9
+_PARALLEL = 1e-12
 """Square of the sine below which segments are taken for parallel [1]."""
 _CROSSED = 1e-9
 """Distance below which segments cross [m]."""
@@ -80,7 +80,7 @@ def clearance_constraint(robot: RobotModel, zones: Mapping[str, Zone], table_hei
         values, jacobians = np.full((count, len(names)), np.inf), np.zeros((count, len(names), n))
         heights = ends[tips, ends_of_tips, :, 2] - rounding[:, None]
         tip, at = np.nonzero(heights < distance + near)
-        low = _Distances(heights[tip, at], ends[tips[tip], ends_of_tips[tip], at], np.tile(_UP, (len(tip), 1)))
+        low = _Distances(heights[tip, at], ends[tips[tip], ends_of_tips[tip], at], np.broadcast_to(_UP, (len(tip), 3)))
         pair, sample = _close(ends, reaches[first] + reaches[second] + distance + near, first, second)
         one, other = first[pair], second[pair]
         found = segment_distances(ends[one, :, sample], ends[other, :, sample])
@@ -147,7 +147,7 @@ def _can_come_down(capsule: Capsule, end: Array) -> bool:
 
 def _close(ends: Array, limits: Array, first: Indices, second: Indices) -> tuple[Indices, Indices]:
     """Find the pairs and samples whose middles are nearer than limits."""
-    middles = ends.mean(axis=1)
+    middles = 0.5 * (ends[:, 0] + ends[:, 1])
     away = middles[first] - middles[second]
     pair, sample = np.nonzero(np.einsum("qni,qni->qn", away, away) < (np.maximum(limits, 0.0) ** 2)[:, None])
     return pair, sample
