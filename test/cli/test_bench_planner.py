@@ -35,7 +35,7 @@ def test_summary_takes_medians_and_counts():
     peers = {name: SlsqpResult(np.zeros((2, 1)), seconds, seconds < 5.0) for name, seconds in
              (("exact", 2.0), ("fd", 8.0))}
     problems = [{"seconds": s, "piqp_s": s, "solved": s < 0.3, "floor": 0.01, "violation": s / 100,
-                 "first": s / 10, "first_share": s, "touching": 0, "message": "late"} for s in
+                 "first": s / 10, "first_share": s, "touching": 0, "cancel": s / 20, "message": "late"} for s in
                 (0.1, 0.2, 0.3)]
     problems[1] |= {**peers, "gap": 0.01, "own_s": 0.4, "osqp_s": 1.0}
     summary = _summary(problems)
@@ -43,6 +43,6 @@ def test_summary_takes_medians_and_counts():
     assert (summary["ratio_exact"], summary["ratio_fd"]) == pytest.approx((10.0, 40.0))
     assert (summary["slsqp_exact_converged"], summary["slsqp_fd_converged"], summary["fd_problems"]) == (1, 0, 1)
     assert (summary["first_feasible_s"], summary["touching"], summary["failures"]) == (pytest.approx(0.02), 0, ["late"])
-    assert summary["first_feasible_share"] == 0.2
+    assert (summary["first_feasible_share"], summary["cancel_worst_s"]) == (0.2, pytest.approx(0.015))
     assert summary["worst_violation"] == pytest.approx(0.003)
     assert "x40" in _line({"robot": "panda", "task": "table", "waypoints": 20, **summary})

@@ -18,7 +18,7 @@ from unifeed_ros.baselines.slsqp import SlsqpResult, solve_with_slsqp
 from unifeed_ros.core.planning.check import motion_bounds
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.plan import Plan, plan_motion
-from unifeed_ros.core.planning.problem import PlanningProblem
+from unifeed_ros.core.planning.problem import PlanningProblem, StateReward
 from unifeed_ros.core.planning.qp import SOLVERS
 from unifeed_ros.core.planning.starts import straight_line
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
@@ -86,6 +86,7 @@ def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, confi
                    violation=_violation(robot, pair.scene, problem, chosen.trajectory, chosen.waypoints)
                    if chosen.success else 0.0, first=chosen.first_feasible,
                    first_share=chosen.first_feasible / chosen.seconds, message=chosen.message,
+                   cancel=_cancel_time(robot, reward, pair, config, figures[f"{config.qp_solver}_s"]),
                    touching=MeshScene(robot, pair.scene).touching(chosen.trajectory.positions)
                    if chosen.success and pair.scene.zones else 0)
     if peer_limit:
@@ -94,6 +95,19 @@ def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, confi
         if rough:
             figures["fd"] = solve_with_slsqp(problem, straight_line(problem), exact=False, limit=peer_limit)
     return figures
+
+
+def _cancel_time(robot: RobotModel, reward: StateReward, pair: PlanningPair, config: PlannerConfig,
+                 seconds: float) -> float:
+    """Measure the longest time from asking a plan to stop until it has, asked at four moments of its search [s]."""
+    late = []
+    for share in (0.2, 0.4, 0.6, 0.8):
+        asked = time.thread_time() + share * seconds
+        plan = plan_motion(robot, reward, pair.start, pair.goal, duration=pair.scene.duration, scene=pair.scene,
+                           config=config, should_stop=lambda asked=asked: time.thread_time() >= asked)
+        if plan.status == "canceled":
+            late.append(time.thread_time() - asked)
+    return max(late, default=np.nan)
 
 
 def _gap(problem: PlanningProblem, plan: Plan, peer: SlsqpResult) -> float:
@@ -144,6 +158,7 @@ def _summary(problems: list[dict[str, Any]]) -> dict[str, Any]:
     return {**summary, "floor_s": _median([p["floor"] for p in problems]),
             "first_feasible_s": _median([p["first"] for p in problems if np.isfinite(p["first"])]),
             "first_feasible_share": _median([p["first_share"] for p in problems if np.isfinite(p["first_share"])]),
+            "cancel_worst_s": _worst([p["cancel"] for p in problems if np.isfinite(p["cancel"])]),
             "touching": sum(p["touching"] > 0 for p in problems),
             "failures": [p["message"] for p in problems if not p["solved"]],
             "worst_violation": max(p["violation"] for p in problems),
@@ -156,11 +171,16 @@ def _median(values: list[float]) -> float | None:
     return float(np.median(values)) if values else None
 
 
+def _worst(values: list[float]) -> float | None:
+    return max(values, default=None)
+
+
 def _line(row: dict[str, Any]) -> str:
     line = (f"{row['robot']} {row['task']} {row['waypoints']}: median {row['median_s']:.3f} s, p95 {row['p95_s']:.3f} s"
             f" (floor {row['floor_s']:.3f} s), solved {row['solved']}/{row['problems']}, worst violation "
-            f"{row['worst_violation']:.1e}, touching {row['touching']}, first feasible "
-            f"{row['first_feasible_s'] or np.nan:.4f} s, {row['first_feasible_share'] or np.nan:.0%} of all")
+            f"{row['worst_violation']:.1e}, touching {row['touching']}, canceled within "
+            f"{row['cancel_worst_s'] or np.nan:.3f} s, first feasible {row['first_feasible_s'] or np.nan:.4f} s, "
+            f"{row['first_feasible_share'] or np.nan:.0%} of all")
     if not row["exact_problems"]:
         return line
     solvers = ", ".join(f"{solver} {row[f'{solver}_s']:.3f} s" for solver in SOLVERS)

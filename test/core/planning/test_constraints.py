@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import coal
 import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,7 +14,7 @@ from hypothesis import strategies as st
 from unifeed_ros.core.errors import ConfigError, PlanningError
 from unifeed_ros.core.planning.capsules import arm_capsules, fit_capsule
 from unifeed_ros.core.planning.check import motion_bounds, scene_constraints
-from unifeed_ros.core.planning.clearance import clearance_constraint
+from unifeed_ros.core.planning.clearance import clearance_constraint, segment_distances
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.kinematics import Kinematics
 from unifeed_ros.core.planning.tool_limits import end_constraint
@@ -81,12 +83,54 @@ def test_distances_to_spheres_are_the_closed_form(case):
         if not name.endswith("to zone ball"):
             continue
         capsule = capsules[name.removesuffix(" to zone ball")]
-        low, high = pose.points(capsule.body, capsule.ends)
+        low, high = (pose.rotations[capsule.body] @ end + pose.origins[capsule.body] for end in capsule.ends)
         shares = np.linspace(0.0, 1.0, 2001)[:, None, None]
         distances = np.linalg.norm(low + shares * (high - low) - zone.position, axis=2).min(axis=0)
         np.testing.assert_allclose(values[:, p], distances - capsule.radius - 0.15, atol=1e-6)
         checked, deepest = checked + 1, min(deepest, values[:, p].min())
     assert checked == len(capsules) and deepest < -0.05
+
+
+@given(seed=st.integers(0, 10_000))
+def test_distances_of_segments_are_those_of_coal(seed):
+    """Thin capsules of coal around the same segments: askew, parallel, meeting at an end, and points."""
+    rng = np.random.default_rng(seed)
+    first, second = rng.uniform(-0.5, 0.5, size=(2, 12, 2, 3))
+    second[:3, 1] = second[:3, 0] + rng.uniform(-2.0, 2.0, size=(3, 1)) * (first[:3, 1] - first[:3, 0])  # parallel
+    first[3, 1], second[4, 1] = first[3, 0], second[4, 0]  # points
+    first[5, 1], second[5, 1] = first[5, 0], second[5, 0]
+    found = segment_distances(first, second)
+    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=1), 1.0, atol=1e-9)
+    request, result, radius = coal.DistanceRequest(), coal.DistanceResult(), 1e-4
+    for k in range(len(first)):
+        shapes = [(coal.Capsule(radius, np.linalg.norm(ends[1] - ends[0])), _placed(ends))
+                  for ends in (first[k], second[k])]
+        result.clear()
+        theirs = coal.distance(*shapes[0], *shapes[1], request, result) + 2.0 * radius
+        assert found.values[k] == pytest.approx(theirs, abs=1e-6)
+        np.testing.assert_allclose(found.points[k] + found.values[k] * found.normals[k],
+                                   _nearest_on(second[k], found.points[k]), atol=1e-7)
+
+
+def test_segments_that_cross_or_coincide_have_a_unit_normal():
+    first = np.array([[[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]] * 3)
+    second = np.array([[[0.0, -1.0, 0.0], [0.0, 1.0, 0.0]], [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], [[0.2, 0.0, 0.0]] * 2])
+    found = segment_distances(first, second)
+    np.testing.assert_allclose(found.values, 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=1), 1.0, atol=1e-12)
+    assert abs(found.normals[0, 2]) == pytest.approx(1.0)
+
+
+def _placed(ends):
+    along = ends[1] - ends[0]
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along if np.any(along) else np.ones(3))
+    return coal.Transform3s(turn.toRotationMatrix(), ends.mean(axis=0))
+
+
+def _nearest_on(ends, point):
+    along = ends[1] - ends[0]
+    share = np.clip((point - ends[0]) @ along / max(along @ along, 1e-12), 0.0, 1.0)
+    return ends[0] + share * along
 
 
 @given(seed=st.integers(0, 1000))

@@ -1,4 +1,4 @@
-"""Signed distances of the whole arm to zones, to the table and to itself, through coal."""
+"""Signed distances of the whole arm to zones, to the table and to itself; those to boxes through coal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from unifeed_ros.core.planning.capsules import Capsule, arm_capsules, self_pairs
 from unifeed_ros.core.planning.constraints import Constraint, Values
-from unifeed_ros.core.planning.kinematics import ArmPose, point_gradient
+from unifeed_ros.core.planning.kinematics import ArmPose
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array
 from unifeed_ros.core.zones import Zone
@@ -21,6 +21,13 @@ Indices = NDArray[np.intp]
 
 _MARGIN = 2e-3
 _TABLE = "the table"
+_UP = np.array([0.0, 0.0, 1.0])
+_POINT = 1e-12
+"""Square of the length below which a segment is a point [m^2]."""
+_PARALLEL = 1e-12
+"""Square of the sine below which segments are taken for parallel [1]."""
+_CROSSED = 1e-9
+"""Distance below which segments cross [m]."""
 
 
 class _Thing(NamedTuple):
@@ -28,8 +35,9 @@ class _Thing(NamedTuple):
 
     hull: Capsule
     shape: Any
-    turn: Array
-    """Orientation of the shape in the frame of its joint."""
+    """The arm's capsule, or a zone's box, for coal; None: the hull is the zone itself."""
+    place: Any
+    """Orientation of the capsule in the frame of its joint, or where the box is."""
 
 
 def clearance_constraint(robot: RobotModel, zones: Mapping[str, Zone], table_height: float,
@@ -58,29 +66,34 @@ def clearance_constraint(robot: RobotModel, zones: Mapping[str, Zone], table_hei
     of_zones = np.array([j >= len(capsules) for _, j in pairs], dtype=bool)
     least = np.concatenate([np.full(len(over_table), -np.inf), np.where(of_zones, 0.0, -np.inf)])
     first, second = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
-    segments = _by_body([t.hull for t in things])
+    of_boxes = np.array([j >= len(capsules) and things[j].shape is not None for _, j in pairs], dtype=bool)
+    owners, local = np.array([t.hull.body for t in things]), np.array([t.hull.ends for t in things])
     radii, reaches = np.array([t.hull.radius for t in things]), np.array([t.hull.reach for t in things])
-
     tips, ends_of_tips = np.array(over_table, dtype=np.intp).reshape(-1, 2).T
-    owners, rounding = np.array([t.hull.body for t in things]), radii[tips] + table_height
+    rounding = radii[tips] + table_height
+    moving = np.arange(robot.n) < owners[:, None]  # (T, n): joints that move each thing
+    signs = np.concatenate([moving[tips].astype(float), moving[second].astype(float) - moving[first]])
 
     def evaluate(pose: ArmPose, velocities: Array, near: float) -> Values:
         count, n = velocities.shape
-        ends = np.empty((len(things), 2, count, 3))
-        for body, (members, local) in segments.items():
-            ends[members] = pose.points(body, local).reshape(-1, 2, count, 3)
+        ends = np.einsum("tkij,tej->teki", pose.rotations[owners], local) + pose.origins[owners][:, None]
         values, jacobians = np.full((count, len(names)), np.inf), np.zeros((count, len(names), n))
         heights = ends[tips, ends_of_tips, :, 2] - rounding[:, None]
         tip, at = np.nonzero(heights < distance + near)
-        values[at, tip] = heights[tip, at]
-        low = _Side(owners[tips[tip]], ends[tips[tip], ends_of_tips[tip], at], np.tile([0.0, 0.0, 1.0], (len(tip), 1)))
-        _add_gradients(jacobians, pose, at, tip, low)
-        pair, sample = _close(ends, radii, reaches, first, second, distance + near)
-        if len(pair):
-            column, one, other = pair + len(tips), first[pair], second[pair]
-            values[sample, column], points, others, normals = _distances(pose, things, one, other, sample, ends)
-            _add_gradients(jacobians, pose, sample, column, _Side(owners[one], points, -normals))
-            _add_gradients(jacobians, pose, sample, column, _Side(owners[other], others, normals))
+        low = _Distances(heights[tip, at], ends[tips[tip], ends_of_tips[tip], at], np.broadcast_to(_UP, (len(tip), 3)))
+        pair, sample = _close(ends, reaches[first] + reaches[second] + distance + near, first, second)
+        one, other = first[pair], second[pair]
+        found = segment_distances(ends[one, :, sample], ends[other, :, sample])
+        found = found._replace(values=found.values - radii[one] - radii[other])
+        boxes = np.flatnonzero(of_boxes[pair] & (found.values < distance + near))
+        if len(boxes):
+            _let_coal_compute(found, boxes, pose, things, one, other, sample, ends)
+        column, sample = np.concatenate([tip, pair + len(tips)]), np.concatenate([at, sample])
+        size, points, normals = (np.concatenate(parts) for parts in zip(low, found, strict=True))
+        kept = size < distance + near
+        column, sample, points, normals = column[kept], sample[kept], points[kept], normals[kept]
+        values[sample, column] = size[kept]
+        jacobians[sample, column] = pose.moved(sample, points, normals) * signs[column]
         return Values(values, jacobians)
 
     return Constraint(
@@ -88,29 +101,43 @@ def clearance_constraint(robot: RobotModel, zones: Mapping[str, Zone], table_hei
         say=lambda name, value, bound: f"{name}: distance {value:.4f} m, at least {bound:.4f} m")
 
 
-class _Side(NamedTuple):
-    """One side of K distances."""
+class _Distances(NamedTuple):
+    """K signed distances between two sides."""
 
-    bodies: Indices
-    """Joint that moves it; 0: none."""
+    values: Array
+    """Shape (K,) [m]."""
     points: Array
-    """The point that is nearest to the other side, shape (K, 3) [m]."""
-    directions: Array
-    """Direction in which the point's motion adds to the distance, shape (K, 3)."""
+    """A point on the line through both nearest points, shape (K, 3) [m]."""
+    normals: Array
+    """Direction in which the second side's motion adds to the distance, shape (K, 3)."""
 
 
-def _add_gradients(jacobians: Array, pose: ArmPose, samples: Indices, columns: Indices, side: _Side) -> None:
-    """Add to the distances' derivatives what one side's motion does."""
-    for body in np.unique(side.bodies[side.bodies > 0]).tolist():
-        rows = np.flatnonzero(side.bodies == body)
-        jacobians[samples[rows], columns[rows]] += point_gradient(
-            pose, samples[rows], body, side.points[rows], side.directions[rows])
+def segment_distances(first: Array, second: Array) -> _Distances:
+    """Compute the distances of line segments, and where they are nearest.
 
+    The nearest point of one line to the other, moved onto its segment, then onto the nearest point of the other
+    segment, and back; that is exact for segments (Ericson, Real-Time Collision Detection, 2005, sec. 5.1.9).
 
-def _by_body(hulls: list[Capsule]) -> dict[int, tuple[list[int], Array]]:
-    """Sort capsules by the joint that moves them: their indices, and their ends, shape (2 L, 3) [m]."""
-    owners = {hull.body: [k for k, one in enumerate(hulls) if one.body == hull.body] for hull in hulls}
-    return {body: (members, np.concatenate([hulls[k].ends for k in members])) for body, members in owners.items()}
+    Args:
+        first: Ends of K segments, shape (K, 2, 3) [m].
+        second: Ends of the others.
+    """
+    one, other, apart = first[:, 1] - first[:, 0], second[:, 1] - second[:, 0], first[:, 0] - second[:, 0]
+    a, b, e, c, f = ((u * v).sum(axis=1) for u, v in (
+        (one, one), (one, other), (other, other), (one, apart), (other, apart)))
+    a, e = np.maximum(a, _POINT), np.maximum(e, _POINT)
+    share = np.minimum(np.maximum((b * f - c * e) / np.maximum(a * e - b * b, _PARALLEL * a * e), 0.0), 1.0)
+    of_other = np.minimum(np.maximum((b * share + f) / e, 0.0), 1.0)
+    share = np.minimum(np.maximum((b * of_other - c) / a, 0.0), 1.0)
+    points = first[:, 0] + share[:, None] * one
+    away = second[:, 0] + of_other[:, None] * other - points
+    length = np.sqrt((away * away).sum(axis=1))
+    crossed = np.flatnonzero(length < _CROSSED)
+    if len(crossed):  # any direction across both is a normal
+        away[crossed] = np.cross(one[crossed], other[crossed])
+        away[crossed] += np.where(np.abs(away[crossed]).max(axis=1, keepdims=True) < _CROSSED, _UP, 0.0)
+    scale = length if not len(crossed) else np.sqrt((away * away).sum(axis=1))
+    return _Distances(length, points, away / scale[:, None])
 
 
 def _can_come_down(capsule: Capsule, end: Array) -> bool:
@@ -118,59 +145,39 @@ def _can_come_down(capsule: Capsule, end: Array) -> bool:
     return capsule.body > 2 or (capsule.body == 2 and float(np.linalg.norm(end)) > capsule.radius)
 
 
-def _close(ends: Array, radii: Array, reaches: Array, first: Indices, second: Indices,
-           near: float) -> tuple[Indices, Indices]:
-    """Find pairs and samples that may be nearer than a distance: first by spheres, then by segments and spheres."""
-    middles = ends.mean(axis=1)
+def _close(ends: Array, limits: Array, first: Indices, second: Indices) -> tuple[Indices, Indices]:
+    """Find the pairs and samples whose middles are nearer than limits."""
+    middles = 0.5 * (ends[:, 0] + ends[:, 1])
     away = middles[first] - middles[second]
-    limit = reaches[first] + reaches[second] + near
-    pair, sample = np.nonzero(np.einsum("qni,qni->qn", away, away) < (np.maximum(limit, 0.0) ** 2)[:, None])
-    one, other = first[pair], second[pair]
-    apart = np.maximum(_to_segment(ends[one, :, sample], middles[other, sample]) - radii[one] - reaches[other],
-                       _to_segment(ends[other, :, sample], middles[one, sample]) - radii[other] - reaches[one])
-    return pair[apart < near], sample[apart < near]
+    pair, sample = np.nonzero(np.einsum("qni,qni->qn", away, away) < (np.maximum(limits, 0.0) ** 2)[:, None])
+    return pair, sample
 
 
-def _to_segment(segments: Array, points: Array) -> Array:
-    """Compute distances from segments, shape (K, 2, 3), to points, shape (K, 3)."""
-    along, away = segments[:, 1] - segments[:, 0], points - segments[:, 0]
-    share = (along * away).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-12)
-    away -= np.minimum(np.maximum(share, 0.0), 1.0)[:, None] * along
-    return np.sqrt((away**2).sum(axis=1))
-
-
-def _distances(pose: ArmPose, things: list[_Thing], first: Indices, second: Indices, samples: Indices,
-               ends: Array) -> tuple[Array, Array, Array, Array]:
-    """Let coal compute K signed distances, nearest points of both, and directions from the first to the second."""
+def _let_coal_compute(found: _Distances, rows: Indices, pose: ArmPose, things: list[_Thing], first: Indices,
+                      second: Indices, samples: Indices, ends: Array) -> None:
+    """Replace the distances to boxes, which are to the spheres around them, by the true ones."""
     request, result = coal.DistanceRequest(), coal.DistanceResult()
-    distances, points = np.empty(len(samples)), np.empty((3, len(samples), 3))
-    placed: dict[tuple[int, int], Any] = {}
-    for k, (i, j, at) in enumerate(zip(first.tolist(), second.tolist(), samples.tolist(), strict=True)):
-        for m in (i, j):
-            if (m, at) not in placed:
-                turn = pose.rotations[things[m].hull.body, at] @ things[m].turn
-                placed[m, at] = coal.Transform3s(turn, 0.5 * (ends[m, 0, at] + ends[m, 1, at]))
+    for k in rows.tolist():
+        i, j, at = first[k], second[k], samples[k]
+        capsule, box = things[i], things[j]
+        placed = coal.Transform3s(pose.rotations[capsule.hull.body, at] @ capsule.place, ends[i, :, at].mean(axis=0))
         result.clear()
-        distances[k] = coal.distance(things[i].shape, placed[i, at], things[j].shape, placed[j, at], request, result)
-        points[0, k], points[1, k] = result.getNearestPoint1(), result.getNearestPoint2()
-        points[2, k] = result.normal
-    return distances, points[0], points[1], points[2]
+        found.values[k] = coal.distance(capsule.shape, placed, box.shape, box.place, request, result)
+        found.points[k], found.normals[k] = result.getNearestPoint1(), result.normal
 
 
 def _arm_thing(capsule: Capsule) -> _Thing:
     along = capsule.ends[1] - capsule.ends[0]
-    along = along / np.linalg.norm(along) if capsule.length > 1e-9 else np.array([0.0, 0.0, 1.0])
-    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).toRotationMatrix()
+    along = along / np.linalg.norm(along) if capsule.length > 1e-9 else _UP
+    turn = pin.Quaternion.FromTwoVectors(_UP, along).toRotationMatrix()
     return _Thing(capsule, coal.Capsule(capsule.radius, capsule.length), turn)
 
 
 def _zone_thing(name: str, zone: Zone) -> _Thing:
     up = np.array([0.0, 0.0, zone.half_segment])
-    shape: Any
-    if zone.shape == "box":
-        shape, radius = coal.Box(*zone.size.tolist()), 0.5 * float(np.linalg.norm(zone.size))
-    else:
-        radius = float(zone.size[0])
-        shape = coal.Sphere(radius) if zone.shape == "sphere" else coal.Capsule(radius, 2 * zone.half_segment)
+    is_box = zone.shape == "box"
+    radius = 0.5 * float(np.linalg.norm(zone.size)) if is_box else float(zone.size[0])
     hull = Capsule(f"zone {name}", 0, np.stack([zone.position - up, zone.position + up]), radius)
-    return _Thing(hull, shape, np.eye(3))
+    if not is_box:
+        return _Thing(hull, None, None)
+    return _Thing(hull, coal.Box(*zone.size.tolist()), coal.Transform3s(np.eye(3), zone.position))

@@ -57,18 +57,24 @@ class ArmPose:
         turned[:, :, self.tool_body:] = 0.0
         return turned
 
-    def points(self, body: int, local: Array) -> Array:
-        """Compute where points of a body are.
+    @cached_property
+    def _moments(self) -> Array:
+        """Moments of the joints' axes about the base, shape (N, n, 3) [m]."""
+        return cross_products(self.origins[1:].transpose(1, 0, 2), self.axes)
+
+    def moved(self, samples: NDArray[np.intp], points: Array, directions: Array) -> Array:
+        """Compute how fast points move along directions as the joints turn that move them, d (a x (p - o)).
 
         Args:
-            body: Joint that moves the body; 0: the base.
-            local: The points in the joint's frame, shape (L, 3) [m].
+            samples: Postures that the points belong to, K indices.
+            points: Positions, shape (K, 3) [m].
+            directions: Shape (K, 3).
 
         Returns:
-            Positions, shape (L, N, 3) [m].
+            Derivatives by each of the joints, as if all moved the point, shape (K, n) [m/rad].
         """
-        turned = (self.rotations[body].reshape(-1, 3) @ local.T).T
-        return turned.reshape(len(local), -1, 3) + self.origins[body]
+        turning, moving = cross_products(points, directions)[:, :, None], directions[:, :, None]
+        return np.asarray((self.axes[samples] @ turning + self._moments[samples] @ moving)[:, :, 0])
 
 
 class Kinematics:
@@ -119,25 +125,6 @@ class Kinematics:
         turn = rotations[self.tool_body]
         return ArmPose(rotations, origins, axes, turn @ self._tool.translation + origins[self.tool_body],
                        turn @ self._tool.rotation[:, 2], self.tool_body)
-
-
-def point_gradient(pose: ArmPose, samples: NDArray[np.intp], body: int, points: Array, directions: Array) -> Array:
-    """Compute how fast points of a body move along directions as the joints turn.
-
-    Args:
-        pose: Where the arm is.
-        samples: Postures that the points belong to, K indices.
-        body: Joint that moves the body; 0: the base, which stays.
-        points: Positions, shape (K, 3) [m].
-        directions: Shape (K, 3).
-
-    Returns:
-        Derivatives, shape (K, n) [m/rad].
-    """
-    gradient = np.zeros((len(points), pose.axes.shape[1]))
-    arms = points[:, None] - pose.origins[1: body + 1].transpose(1, 0, 2)[samples]
-    gradient[:, :body] = (cross_products(pose.axes[samples, :body], arms) * directions[:, None]).sum(axis=2)
-    return gradient
 
 
 def cross_products(one: Array, two: Array) -> Array:

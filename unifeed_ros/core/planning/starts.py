@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 
 import numpy as np
 
 from unifeed_ros.core.errors import PlanningError
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.problem import PlanningProblem
-from unifeed_ros.core.planning.qp import WaypointQP
+from unifeed_ros.core.planning.qp import QPSolver, WaypointQP
 from unifeed_ros.core.planning.sampling import rest_to_rest
 from unifeed_ros.core.planning.solvers import make_solver
 from unifeed_ros.core.types import Array, frozen_array
@@ -36,11 +37,16 @@ class StartRepair:
             PlanningError: No way-points keep all limits between these ends in this time.
         """
         self._problem = problem
-        m, n = len(problem.free), problem.joints
-        self._solver = make_solver(problem.qp_solver, problem.qp_constants()._replace(
-            coupling=np.zeros((m, m)), coupling_weights=np.zeros(n)))
         line = straight_line(problem)
         self.line = self._nearest(line, line)
+
+    @cached_property
+    def _solver(self) -> QPSolver:
+        """The solver, set up where a start needs it."""
+        problem = self._problem
+        m, n = len(problem.free), problem.joints
+        return make_solver(problem.qp_solver, problem.qp_constants()._replace(
+            coupling=np.zeros((m, m)), coupling_weights=np.zeros(n)))
 
     def __call__(self, waypoints: Array) -> Array:
         """Repair way-points.
@@ -56,10 +62,14 @@ class StartRepair:
     def _nearest(self, wanted: Array, base: Array) -> Array:
         """Find the feasible way-points nearest to wanted ones, starting from a base inside the position limits."""
         problem = self._problem
+        inside = wanted[problem.free]
+        if (np.abs(problem.rate_shares(wanted)).max() <= 1.0 and (inside >= problem.lower).all()
+                and (inside <= problem.upper).all()):
+            return wanted
         m, n = len(problem.free), problem.joints
         free, lower, upper = base[problem.free], problem.lower, problem.upper
         change = self._solver.solve(WaypointQP(
-            gradient=free - wanted[problem.free], blocks=np.tile(np.eye(n), (m, 1, 1)), lower=lower - free,
+            gradient=free - inside, blocks=np.tile(np.eye(n), (m, 1, 1)), lower=lower - free,
             upper=upper - free, shares=problem.rate_shares(base), clearances=np.zeros((m, 0)),
             clearance_jacobians=np.zeros((m, 0, n)), penalty=1.0)).change
         nearest = problem.complete(np.clip(free + change, lower, upper))
