@@ -14,7 +14,7 @@ from unifeed_ros.nodes.real_time import RealTimeConfig
 
 PROCESS = """
 import gc, os, resource, threading
-from unifeed_ros.nodes.real_time import RealTimeConfig, prefer_real_time
+from unifeed_ros.nodes.real_time import RealTimeConfig, calm_garbage_collector, prefer_real_time
 
 forbidden = {forbidden}
 if forbidden:
@@ -25,6 +25,7 @@ if forbidden:
 done = threading.Event()
 thread = threading.Thread(target=done.wait)
 thread.start()
+calm_garbage_collector()
 print(prefer_real_time(RealTimeConfig(priority={priority})))
 print(*(os.sched_getscheduler(t) for t in (0, thread.native_id)), os.SCHED_FIFO, gc.get_freeze_count() > 1000)
 done.set()

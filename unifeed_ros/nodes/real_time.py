@@ -38,10 +38,9 @@ class RealTimeConfig:
 
 
 def prefer_real_time(config: RealTimeConfig) -> str:
-    """Ask for real-time scheduling and locked memory for all threads of this process, and calm the garbage collector.
+    """Ask for real-time scheduling and locked memory for all threads of this process.
 
-    To be called when everything is set up: threads that begin later inherit from the one that begins them, and what
-    exists now is never looked at by the garbage collector again.
+    To be called when everything is set up: threads that begin later inherit from the one that begins them.
 
     Args:
         config: What to ask for.
@@ -49,13 +48,17 @@ def prefer_real_time(config: RealTimeConfig) -> str:
     Returns:
         What was permitted, as a clause for a person.
     """
-    gc.collect()
-    gc.freeze()
     if config.priority == 0:
         return "ordinary scheduling, as configured"
     scheduling = _schedule(config.priority)
     locked = config.lock_memory and _lock_memory()
     return scheduling + (", memory locked" if locked else "")
+
+
+def calm_garbage_collector() -> None:
+    """Let the garbage collector never look again at what exists now; to be called when everything is set up."""
+    gc.collect()
+    gc.freeze()
 
 
 def set_niceness(niceness: int, leader: int | None = None) -> None:

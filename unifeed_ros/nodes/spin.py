@@ -18,7 +18,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from unifeed_ros.core.errors import UnifeedError
-from unifeed_ros.nodes.real_time import prefer_real_time
+from unifeed_ros.nodes.real_time import calm_garbage_collector, prefer_real_time
 
 SPIN_S = 0.05
 """Longest wait of one spin [s]; also how late a signal is noticed. The events executor needs it to be finite."""
@@ -151,6 +151,7 @@ def _run(node: Node, stop: StopSignal) -> int:
     executor: Executor | None = None
     try:
         executor = make_executor(node)
+        calm_garbage_collector()
         if (real_time := getattr(node, "real_time", None)) is not None:
             node.get_logger().info(prefer_real_time(real_time))
         while rclpy.ok() and not stop.raised and getattr(node, "exit_status", None) is None:
