@@ -14,6 +14,9 @@ from typing import Any
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
+from rclpy.task import Future
+
+from unifeed_ros.nodes.answers import answer_until_seen, noticing_drops
 
 POLL_S = 0.005
 """Time between two looks at a future; the rest of the node waits as long [s]."""
@@ -33,7 +36,7 @@ class DeferredActionServer(ActionServer):
     def __init__(self, node: Node, kind: Any, name: str, begin: Callable[[ServerGoalHandle], None],
                  **options: Any) -> None:
         super().__init__(node, kind, name, begin, cancel_callback=lambda _: CancelResponse.ACCEPT, **options)
-        self._begin_goal = begin
+        self._asked_node, self._begin_goal = node, begin
 
     def notify_execute(self, goal_handle: ServerGoalHandle, execute_callback: Callable[..., Any] | None) -> None:
         """Begin a goal; rclpy calls this when the goal has been accepted."""
@@ -47,6 +50,23 @@ class DeferredActionServer(ActionServer):
             conclude: Called by the executor; sets the goal's last state and gives the result.
         """
         super().notify_execute(handle, conclude)
+
+    async def _execute_goal_request(self, request: Any) -> None:
+        """Decide on a goal; the answer also reaches a client that this process has not discovered yet."""
+        header, goal = request
+
+        def again() -> None:
+            answer = self.action_type.Impl.SendGoalService.Response()
+            answer.accepted = bytes(goal.goal_id.uuid) in self._goal_handles
+            answer.stamp = self._asked_node.get_clock().now().to_msg()
+            self._handle.send_goal_response(header, answer)
+
+        with noticing_drops(self._asked_node, again):
+            await super()._execute_goal_request(request)
+
+    def _send_result_response(self, header: Any, result: Future) -> None:
+        answer_until_seen(self._asked_node, lambda: super(DeferredActionServer, self)._send_result_response(
+            header, result))
 
 
 @types.coroutine

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -10,10 +11,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.service import Service
 from rclpy.subscription import Subscription
 
 from unifeed_ros.core.robot import RobotConfig, RobotModel
 from unifeed_ros.core.scene import Scene
+from unifeed_ros.nodes.answers import answer_until_seen
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.topics import find_topic, publisher_qos, subscriber_qos
 
@@ -33,6 +36,13 @@ class UnifeedNode(Node):
         self._status = DiagnosticStatus(level=OK, name=DIAGNOSTICS_PREFIX + name, message="starting")
         self._diagnostics = self.advertise("diagnostics")
         self._status_timer = self.create_timer(1.0, self._publish_status, clock=self.steady)
+
+    def create_service(self, *arguments: Any, **options: Any) -> Service:
+        """Create a service whose answers also reach clients that this process has not discovered yet."""
+        service = super().create_service(*arguments, **options)
+        send = service.send_response
+        service.send_response = lambda response, header: answer_until_seen(self, partial(send, response, header))
+        return service
 
     def advertise(self, topic: str) -> Publisher:
         """Create the publisher of a topic of the table."""
