@@ -15,6 +15,7 @@ from unifeed_ros.core.feedback.deformation import (
     delay,
     noise_scale,
     sample_deformations,
+    shortcuts,
 )
 
 counts = st.integers(2, 40)
@@ -141,3 +142,35 @@ def test_bad_arguments_are_refused():
         DeformationShape(norm="snap")
     with pytest.raises(ConfigError, match="gaussian, impulse"):
         DeformationShape(noise="laplace")
+
+
+def bow(height, points=21):
+    """Give tool states along half a circle flattened to a height, from one end of a metre to the other [m]."""
+    angle = np.linspace(0.0, np.pi, points)
+    places = np.stack([0.5 - 0.5 * np.cos(angle), height * np.sin(angle), np.zeros(points)], axis=1)
+    return np.concatenate([places, np.tile([0.0, 0.0, -1.0], (points, 1))], axis=1)
+
+
+@given(height=st.floats(0.25, 1.0), seed=st.integers(0, 99))
+def test_shortcuts_lie_between_the_path_and_its_chord_and_keep_its_ends(height, seed):
+    path = bow(height)
+    drawn = shortcuts(path, 50, 0.2, np.random.default_rng(seed))
+    np.testing.assert_allclose(drawn[:, [0, -1]], np.tile(path[[0, -1]], (50, 1, 1)), atol=1e-12)
+    moved = np.linalg.norm(drawn[..., :3] - path[:, :3], axis=-1)
+    assert (moved.max(axis=1) >= 0.2 - 1e-9).all()
+    assert (drawn[..., 1] <= path[:, 1] + 1e-9).all() and (drawn[..., 1] >= -1e-9).all()
+    lengths = np.linalg.norm(np.diff(drawn[..., :3], axis=1), axis=-1).sum(axis=1)
+    assert (lengths < np.linalg.norm(np.diff(path[:, :3], axis=0), axis=-1).sum()).all()
+
+
+def test_a_shortcut_carries_the_axis_along_at_unit_length():
+    path = bow(0.5)
+    path[:, 3:] = np.stack([np.sin(path[:, 1]), np.zeros(21), -np.cos(path[:, 1])], axis=1)
+    drawn = shortcuts(path, 50, 0.2, np.random.default_rng(0))
+    np.testing.assert_allclose(np.linalg.norm(drawn[..., 3:], axis=-1), 1.0)
+    assert (drawn[..., 3] <= path[:, 3] + 1e-9).all() and (drawn[..., 3] < path[:, 3] - 0.05).any()
+
+
+@pytest.mark.parametrize("path", [bow(0.19), bow(0.0), bow(0.5)[:2]], ids=["shallow", "straight", "two points"])
+def test_a_path_without_corners_has_no_shortcuts(path):
+    assert shortcuts(path, 50, 0.2, np.random.default_rng(0)).shape == (0, *path.shape)

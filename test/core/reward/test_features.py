@@ -13,6 +13,7 @@ from unifeed_ros.core.errors import ConfigError, InputError, ShapeError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import Demonstration
 from unifeed_ros.core.reward import features as module
+from unifeed_ros.core.reward.buffer import AlternativesConfig
 from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.features import evaluate, feature_name, make_feature
@@ -146,8 +147,9 @@ def test_one_demonstration_teaches_what_a_given_feature_explains(panda, context,
     shown = Trajectory(joint_names=panda.joint_names, times=straight.times, positions=straight.positions)
     dataset = FeedbackDataset("panda", panda.joint_names)
     dataset.add(Demonstration(id="d1", robot="panda", context=context, trajectory=shown))
+    no_shortcuts = AlternativesConfig(shortcut_share=0.0)  # a line in joint space bends for no reason
     config = TrainingConfig(members=2, hidden=(16, 16), steps=250, pool=200, features=["distance(goal)"],
-                            residual_penalty=0.1)
+                            residual_penalty=0.1, alternatives=no_shortcuts)
     ensemble = train_reward(dataset, panda, config, version=1, seed=0).ensemble
     elsewhere = Context(goal=[0.4, 0.4, 0.4], objects=context.objects)
     points = states(200)

@@ -183,3 +183,36 @@ def delay(states: Array, sizes: ArrayLike, rng: np.random.Generator, *, ends: En
     shifts = sample_deformations(len(states), wanted, rng, ends=ends, shape=shape)[..., 0]
     delayed = np.maximum.accumulate(np.clip(progress - np.abs(shifts), 0.0, 1.0), axis=1)
     return np.stack([np.interp(delayed, progress, column) for column in states.T], axis=-1)
+
+
+def shortcuts(states: Array, count: int, smallest: float, rng: np.random.Generator) -> Array:
+    """Draw alternatives that cut a corner: a part of the path gives way to the straight line between its ends.
+
+    Deformations of eq. M1 are smooth noise in all directions, and a straight line is hardly ever among them; yet it is
+    what a planner finds first where nothing speaks against it. The timing stays, as in eq. M1.
+
+    Args:
+        states: Tool states along the motion, shape (H, 6) [m, 1].
+        count: Number of alternatives K.
+        smallest: Least displacement of the tool that counts as a corner [m]: below it, a bend may be chance.
+        rng: Source of randomness.
+
+    Returns:
+        Alternatives, shape (K, H, 6) [m, 1]: the part and the share of the way to the line are random, displaced by at
+        least that much; shape (0, H, 6) if the path has no such corner.
+    """
+    begins, ends = np.triu_indices(len(states), k=2)
+    index = np.arange(len(states))
+    along = np.clip((index - begins[:, None]) / (ends - begins)[:, None], 0.0, 1.0)[..., None]
+    inside = ((index >= begins[:, None]) & (index <= ends[:, None]))[..., None]
+    lines = states[begins][:, None] + along * (states[ends] - states[begins])[:, None]
+    moves = np.where(inside, lines - states, 0.0)
+    largest = np.linalg.norm(moves[..., :3], axis=-1).max(axis=1)
+    corners = np.flatnonzero(largest >= smallest)
+    if not len(corners):
+        return np.zeros((0, *states.shape))
+    drawn = rng.choice(corners, count)
+    shares = rng.uniform(smallest / largest[drawn], 1.0)
+    alternatives: Array = states + shares[:, None, None] * moves[drawn]
+    alternatives[..., 3:] /= np.maximum(np.linalg.norm(alternatives[..., 3:], axis=-1, keepdims=True), 1e-9)
+    return alternatives

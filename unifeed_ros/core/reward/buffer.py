@@ -17,6 +17,7 @@ from unifeed_ros.core.feedback.deformation import (
     Norm,
     deform_tool_states,
     delay,
+    shortcuts,
 )
 from unifeed_ros.core.feedback.items import Correction, Demonstration, FeedbackItem
 from unifeed_ros.core.reward.inputs import input_names, scene_inputs
@@ -49,6 +50,11 @@ class AlternativesConfig:
     the path, and the planner waits there."""
     free_end_share: float = 0.5
     """Share of a demonstration's alternatives whose end moves too, so that the goal itself is learned."""
+    shortcut_share: float = 0.3
+    """Share of a demonstration's alternatives that cut one of its corners, if it has any: who led the arm around
+    something did so on purpose."""
+    shortcut_size: float = 0.2
+    """Least displacement of a shortcut [m]: bends of less may be what a hand was off by."""
     norm: Norm = "acceleration"
     """What of an alternative's difference is small, as in eq. M2: its velocity, acceleration or jerk."""
     noise: Noise = "gaussian"
@@ -67,7 +73,9 @@ class AlternativesConfig:
             if not sizes or not all(0.0 < s < 10.0 for s in sizes):
                 raise ConfigError(name, expected="sizes above 0 and below 10", got=sizes)
             object.__setattr__(self, name, sizes)
-        for name in ("axis_share", "delay_share", "free_end_share"):
+        if not 0.0 < self.shortcut_size < 10.0:
+            raise ConfigError("shortcut_size", expected="above 0 and below 10", got=self.shortcut_size)
+        for name in ("axis_share", "delay_share", "free_end_share", "shortcut_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ConfigError(name, expected="0 to 1", got=getattr(self, name))
 
@@ -170,8 +178,9 @@ class _Filler:
             if isinstance(item, Demonstration):
                 states = self._sample(item.trajectory, self._states)
                 demonstrated.append(self._show(states, item.context))
-                demonstration_alternatives += self._vary(
-                    states, item.context, demonstration_count, self._config.free_end_share)
+                cut = self._cut(states, item.context, demonstration_count)
+                demonstration_alternatives += [cut, *self._vary(
+                    states, item.context, demonstration_count - len(cut), self._config.free_end_share)]
             elif isinstance(item, Correction):
                 # by length: where a hand leads matters, how long the arm waits for it does not
                 by_hand, by_plan = (self._sample(t, self._states_by_length) for t in (item.corrected, item.planned))
@@ -220,6 +229,11 @@ class _Filler:
         free = round(free_share * count)
         parts: list[tuple[Ends, int]] = [("free", free), ("fixed", count - free)]
         return [self._inputs(drawn, context) for ends, part in parts for drawn in self._draw(states, part, ends)]
+
+    def _cut(self, states: Array, context: Context, count: int) -> Inputs:
+        config = self._config
+        drawn = shortcuts(states, round(config.shortcut_share * count), config.shortcut_size, self._rng)
+        return self._inputs(drawn, context)
 
     def _draw(self, states: Array, count: int, ends: Ends) -> tuple[Array, Array]:
         rng, config = self._rng, self._config
