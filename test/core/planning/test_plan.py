@@ -76,8 +76,17 @@ def test_same_inputs_and_seed_give_the_same_bytes(panda, rewards):
 
 def test_more_starts_are_never_worse(case, rewards):
     reward = rewards["network"](2)
-    few, many = (plan(case, reward, config=replace(CONFIG, starts=starts)).objective for starts in (1, 4))
+    few, many = (plan(case, reward, config=replace(CONFIG, starts=starts, halving=0)).objective for starts in (1, 4))
     assert many >= few
+
+
+def test_halving_gives_up_starts_early_and_keeps_the_best(case, rewards):
+    reward = rewards["network"](2)
+    all_of_them, halved = (plan(case, reward, config=replace(CONFIG, starts=4, halving=n)) for n in (0, 4))
+    assert halved.iterations < 0.8 * all_of_them.iterations
+    assert halved.objective == pytest.approx(all_of_them.objective, rel=0.01)
+    alone, heats = (plan(case, reward, config=replace(CONFIG, starts=1, halving=n)) for n in (0, 4))
+    assert heats.waypoints.tobytes() == alone.waypoints.tobytes()
 
 
 def test_a_good_seed_is_used(panda, rewards):
@@ -229,7 +238,7 @@ def test_cancel_is_followed_at_once(case, rewards):
     config = replace(CONFIG, starts=50, max_iterations=1000)
     result = plan(case, rewards["network"](0), config=config, should_stop=should_stop)
     late = time.thread_time() - polled[5]
-    assert result.status == "canceled" and not result.success and result.iterations == 5
+    assert result.status == "canceled" and not result.success and result.iterations == 4  # and the first start
     assert max(late, np.diff(polled).max()) < 0.05
 
 

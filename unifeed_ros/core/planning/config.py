@@ -26,7 +26,10 @@ class PlannerConfig:
     """
     starts: int = 1
     """Number of motions that the search starts from, the straight line and given seeds first; a seed comes on top of
-    one. A second start took as long again and gained at most 0.3 % of the objective over learned rewards."""
+    one. Over learned rewards, further starts gained at most 0.3 % of the objective."""
+    halving: int = 4
+    """Iterations after which the worse half of several starts is given up, and so on until one is left; 0: each is
+    searched to its end [1]."""
     max_iterations: int = 60
     """Largest number of iterations from each start."""
     tolerance: float = 2e-4
@@ -74,9 +77,9 @@ class PlannerConfig:
             raise ConfigError("qp_solver", expected=", ".join(SOLVERS), got=self.qp_solver)
         if self.goal not in get_args(GoalKind):
             raise ConfigError("goal", expected=", ".join(get_args(GoalKind)), got=self.goal)
-        for name in ("starts", "max_iterations"):
-            if getattr(self, name) < 1:
-                raise ConfigError(name, expected=">= 1", got=getattr(self, name))
+        for name, least in (("starts", 1), ("max_iterations", 1), ("halving", 0)):
+            if getattr(self, name) < least:
+                raise ConfigError(name, expected=f">= {least}", got=getattr(self, name))
         for name in ("smoothness", "tolerance", "time_budget", "trust_radius", "sample_rate", "check_rate",
                      "goal_tolerance"):
             if not 0 < getattr(self, name) < float("inf"):

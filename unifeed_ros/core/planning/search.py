@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -73,7 +73,10 @@ class Search:
         return self.status != "solved"
 
     def improve(self, problem: PlanningProblem, starts: Iterable[Array]) -> None:
-        """Search a problem from each start until it ends; what was found for another problem is forgotten.
+        """Search a problem from several starts together; what was found for another problem is forgotten.
+
+        All go on for a few iterations each, then the worse half is given up, until one is left (successive halving,
+        Jamieson and Talwalkar 2016).
 
         Args:
             problem: What to solve.
@@ -83,18 +86,29 @@ class Search:
             PlanningError: The reward is not finite, or a start cannot be made feasible.
         """
         self._best = None
-        subproblem = Subproblem(problem)
+        subproblem, runs = Subproblem(problem), []
         for start in starts:
             first = problem.evaluate(start)
             self._keep(first)
-            if self.has_ended():
+            runs.append(_Run(first, iterations(problem, subproblem, first, self._config)))
+            if self.has_ended() or not self._go_on(problem, runs[-1]):
                 return
-            for present in iterations(problem, subproblem, first, self._config):
-                self.count += 1
-                self._keep(present)
-                self._report(problem, present)
-                if self.has_ended():
-                    return
+        while runs := sorted((run for run in runs if not run.ended), key=lambda run: _rank(run.present)):
+            runs = runs[: -(-len(runs) // 2)]
+            if not all(self._go_on(problem, run) for run in runs):
+                return
+
+    def _go_on(self, problem: PlanningProblem, run: _Run) -> bool:
+        """Take a start a few iterations further; false if the whole search has ended."""
+        for _ in range(self._config.halving or self._config.max_iterations):
+            if not run.go_on():
+                break
+            self.count += 1
+            self._keep(run.present)
+            self._report(problem, run.present)
+            if self.has_ended():
+                return False
+        return True
 
     def _keep(self, present: Evaluation) -> None:
         if np.isnan(self.first_feasible) and present.violation <= _FEASIBLE:
@@ -115,3 +129,17 @@ def _rank(at: Evaluation) -> tuple[bool, float]:
     """Order evaluations: feasible ones first, by cost; then the others, by the merit function."""
     infeasible = at.violation > _FEASIBLE
     return infeasible, merit(at) if infeasible else at.cost
+
+
+class _Run:
+    """The search from one start."""
+
+    def __init__(self, first: Evaluation, steps: Iterator[Evaluation]) -> None:
+        self.present, self.ended, self._steps = first, False, steps
+
+    def go_on(self) -> bool:
+        """Take one iteration; false if there is none any more."""
+        following = next(self._steps, None)
+        self.ended = following is None
+        self.present = following or self.present
+        return not self.ended
