@@ -38,6 +38,7 @@ def test_summary_takes_medians_and_counts():
                  "first": s / 10, "first_share": s, "touching": 0, "cancel": s / 20, "message": "late"} for s in
                 (0.1, 0.2, 0.3)]
     problems[1] |= {**peers, "gap": 0.01, "own_s": 0.4, "osqp_s": 1.0}
+    problems[0] |= {"halved_share": 1.5, "halved_gain": 0.001, "full_share": 4.0, "full_gain": 0.002}
     summary = _summary(problems)
     assert (summary["median_s"], summary["own_s"], summary["solved"], summary["problems"]) == (0.2, 0.4, 2, 3)
     assert (summary["ratio_exact"], summary["ratio_fd"]) == pytest.approx((10.0, 40.0))
@@ -45,4 +46,5 @@ def test_summary_takes_medians_and_counts():
     assert (summary["first_feasible_s"], summary["touching"], summary["failures"]) == (pytest.approx(0.02), 0, ["late"])
     assert (summary["first_feasible_share"], summary["cancel_worst_s"]) == (0.2, pytest.approx(0.015))
     assert summary["worst_violation"] == pytest.approx(0.003)
-    assert "x40" in _line({"robot": "panda", "task": "table", "waypoints": 20, **summary})
+    line = _line({"robot": "panda", "task": "table", "waypoints": 20, **summary})
+    assert "x40" in line and "halved x1.50 of the time, objective +0.100%, full x4.00" in line

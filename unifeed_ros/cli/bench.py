@@ -77,6 +77,9 @@ def _add_planner_options(parser: argparse.ArgumentParser) -> None:
                         help="pairs that the other solvers and SLSQP with exact gradients solve too (default: 5)")
     parser.add_argument("--fd-pairs", type=int, default=1,
                         help="of these, pairs that SLSQP with finite differences solves too (default: 1)")
+    parser.add_argument("--starts", type=int, default=1,
+                        help="plan from as many starts too, with and without giving up early (default: 1, which is "
+                             "measured in any case)")
     parser.add_argument("--zones", action="store_true",
                         help="a laptop's box and a person's capsule that the whole arm keeps out of; plans are checked "
                              "with the arm's meshes too")

@@ -46,7 +46,8 @@ def run(options: argparse.Namespace) -> int:
         pairs = list(itertools.islice(random_pairs(robot, scene, PlannerConfig()), options.pairs))
         for count in WAYPOINTS:
             problems = [_measure(robot, model, pair, PlannerConfig(waypoints=count, time_budget=60.0),
-                                 options.peer_limit if k < options.peer_pairs else 0.0, rough=k < options.fd_pairs)
+                                 options.peer_limit if k < options.peer_pairs else 0.0, rough=k < options.fd_pairs,
+                                 starts=options.starts)
                         for k, pair in enumerate(pairs)]
             rows.append({"robot": name, "task": task, "waypoints": count, **_summary(problems)})
             print(_line(rows[-1]), file=sys.stderr, flush=True)
@@ -57,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, config: PlannerConfig,
-             peer_limit: float, *, rough: bool) -> dict[str, Any]:
+             peer_limit: float, *, rough: bool, starts: int = 1) -> dict[str, Any]:
     """Solve one problem with each solver, and by the peers too where they have a time limit.
 
     Args:
@@ -67,6 +68,7 @@ def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, confi
         config: Settings of the planner.
         peer_limit: Processor time after which SLSQP is ended; 0: neither it nor the other solvers are measured [s].
         rough: True: SLSQP is measured with finite differences too.
+        starts: Where more than 1, plans from as many are measured too, with halving and with all searched to their end.
     """
     reward = model.bind(pair.scene.context())
     bounds = motion_bounds(robot, pair.scene, pair.start, pair.goal, config)
@@ -89,6 +91,12 @@ def _measure(robot: RobotModel, model: RewardEnsemble, pair: PlanningPair, confi
                    cancel=_cancel_time(robot, reward, pair, config, figures[f"{config.qp_solver}_s"]),
                    touching=MeshScene(robot, pair.scene).touching(chosen.trajectory.positions)
                    if chosen.success and pair.scene.zones else 0)
+    for name, halving in (("halved", config.halving), ("full", 0)) if starts > 1 else ():
+        began = time.thread_time()
+        plan = plan_motion(robot, reward, pair.start, pair.goal, duration=pair.scene.duration, scene=pair.scene,
+                           config=replace(config, starts=starts, halving=halving))
+        figures[f"{name}_share"] = (time.thread_time() - began) / figures["seconds"]
+        figures[f"{name}_gain"] = (plan.objective - chosen.objective) / abs(chosen.objective)
     if peer_limit:
         exact = solve_with_slsqp(problem, straight_line(problem), exact=True, limit=peer_limit)
         figures.update(exact=exact, gap=_gap(problem, chosen, exact))
@@ -154,6 +162,8 @@ def _summary(problems: list[dict[str, Any]]) -> dict[str, Any]:
         summary[f"slsqp_{name}_converged"] = sum(p[name].converged for p in peers)
         beside = [p[name].seconds / p["seconds"] for p in peers]
         summary[f"ratio_{name}"] = _median(beside)
+    for figure in ("halved_share", "halved_gain", "full_share", "full_gain"):
+        summary[figure] = _median([p[figure] for p in problems if figure in p])
     gaps = [p["gap"] for p in problems if "gap" in p]
     return {**summary, "floor_s": _median([p["floor"] for p in problems]),
             "first_feasible_s": _median([p["first"] for p in problems if np.isfinite(p["first"])]),
@@ -181,6 +191,10 @@ def _line(row: dict[str, Any]) -> str:
             f"{row['worst_violation']:.1e}, touching {row['touching']}, canceled within "
             f"{row['cancel_worst_s'] or np.nan:.3f} s, first feasible {row['first_feasible_s'] or np.nan:.4f} s, "
             f"{row['first_feasible_share'] or np.nan:.0%} of all")
+    if row["halved_share"] is not None:
+        line += "; more starts " + ", ".join(
+            f"{name} x{row[f'{name}_share']:.2f} of the time, objective {row[f'{name}_gain']:+.3%}"
+            for name in ("halved", "full"))
     if not row["exact_problems"]:
         return line
     solvers = ", ".join(f"{solver} {row[f'{solver}_s']:.3f} s" for solver in SOLVERS)
