@@ -15,7 +15,7 @@ from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.experiments.statistics import Anova, PairedTest
 
 EXPERIMENTS: Mapping[str, str] = {
-    name: f"unifeed_ros.experiments.{name}" for name in ("deformations",)}
+    name: f"unifeed_ros.experiments.{name}" for name in ("preferences", "deformations")}
 """Module of each experiment, which holds it as EXPERIMENT; loaded only when it is asked for."""
 KEYS = ("experiment", "task", "method", "person", "interaction")
 """Columns that every row has, and by which rows are sorted."""

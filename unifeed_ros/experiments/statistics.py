@@ -212,20 +212,21 @@ def bootstrap_interval(values: ArrayLike, seed: int = 0) -> tuple[float, float]:
     return float(found.low), float(found.high)
 
 
-def mean_table(rows: pd.DataFrame, value: str, by: Sequence[str]) -> list[dict[str, Any]]:
+def mean_table(rows: pd.DataFrame, value: str, by: Sequence[str], person: str = "person") -> list[dict[str, Any]]:
     """Compute mean, standard error and 95 % bootstrap interval in each cell.
 
     Args:
-        rows: One row a person and cell.
+        rows: One row a measurement; several of one person in one cell are averaged.
         value: Column of what was measured.
         by: Columns that make the cells.
+        person: Column of the people.
 
     Returns:
         One row a cell, in order of appearance.
     """
     table = []
     for cell, group in rows.groupby(list(by), sort=False, observed=True):
-        values = group[value].to_numpy(dtype=np.float64)
+        values = group.groupby(person)[value].mean().to_numpy(dtype=np.float64)
         low, high = bootstrap_interval(values)
         error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else float("nan")
         table.append({**dict(zip(by, cell, strict=True)), "people": len(values), "mean": float(values.mean()),
