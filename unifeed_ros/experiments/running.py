@@ -17,14 +17,15 @@ from unifeed_ros.experiments.experiment import Experiment, Row, RunSettings, fai
 
 CONNECT = 10.0
 """How long a scheduler is waited for [s]."""
+_DIED = "the process that ran it ended, also when it ran alone (memory?)"
 
 
 def run_people(experiment: Experiment, people: Sequence[int], settings: RunSettings, *, jobs: int = 1,
                cluster: str = "") -> Iterator[tuple[int, list[Row]]]:
     """Run people, each on one thread, and give them as they finish.
 
-    A person whose run fails is given with failed rows. One whose process ends is run again by another, and given as
-    failed after the scheduler's fourth try.
+    A person whose run fails is given with failed rows. One whose process ends is run again by another; those whose
+    processes ended four times are run again at the end, each alone: who ended them shows then, and is given as failed.
 
     Args:
         experiment: The experiment.
@@ -49,17 +50,32 @@ def run_people(experiment: Experiment, people: Sequence[int], settings: RunSetti
     with ExitStack() as stack:
         client = stack.enter_context(_connected(cluster) if cluster else _local(stack, jobs))
         _require_same_version(client)
-        futures = {client.submit(run_one, experiment, person, settings, pure=False): person for person in people}
-        for future in as_completed(futures):
-            person = futures.pop(future)
-            if future.status == "finished":
-                yield person, future.result()
-            elif future.status == "error":
-                yield person, failed_rows(experiment, person, _why(future.exception()))
+        died = []
+        for person, rows in _submitted(client, experiment, people, settings):
+            if rows is None:
+                died.append(person)
             else:
-                raise ClusterLostError(f"the scheduler {cluster or 'of this machine'} went away",
-                                       got=f"{len(futures) + 1} people not finished", mend="go on with --resume")
-            future.release()
+                yield person, rows
+        for person in sorted(died):
+            for _, rows in _submitted(client, experiment, [person], settings):
+                yield person, failed_rows(experiment, person, _DIED) if rows is None else rows
+
+
+def _submitted(client: Client, experiment: Experiment, people: Sequence[int],
+               settings: RunSettings) -> Iterator[tuple[int, list[Row] | None]]:
+    """Give people as workers finish them; no rows for those who the scheduler gave up because their workers ended."""
+    futures = {client.submit(run_one, experiment, person, settings, pure=False): person for person in people}
+    for future in as_completed(futures):
+        person = futures.pop(future)
+        if future.status == "finished":
+            yield person, future.result()
+        elif future.status != "error":
+            raise ClusterLostError("the Dask scheduler went away", got=f"{len(futures) + 1} people not finished",
+                                   mend="go on with --resume")
+        else:
+            error = future.exception()
+            yield person, None if isinstance(error, KilledWorker) else failed_rows(experiment, person, _why(error))
+        future.release()
 
 
 def run_one(experiment: Experiment, person: int, settings: RunSettings) -> list[Row]:
@@ -91,8 +107,6 @@ def _where(error: Exception) -> str:
 
 
 def _why(error: BaseException | None) -> str:
-    if isinstance(error, KilledWorker):
-        return f"its process ended {error.allowed_failures + 1} times (memory?)"
     return f"{type(error).__name__}: {error}"
 
 
