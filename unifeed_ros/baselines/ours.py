@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numpy.typing import ArrayLike
+
 from unifeed_ros.core.errors import TrainingError
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.feedback.items import FeedbackItem
@@ -21,15 +23,18 @@ class Ours:
         dataset: What was taught.
     """
 
-    def __init__(self, robot: RobotModel, config: TrainingConfig, seed: int) -> None:
+    def __init__(self, robot: RobotModel, config: TrainingConfig, seed: int, *, kappa: float = 0.0,
+                 among: ArrayLike | None = None) -> None:
         """Start without knowing anything.
 
         Args:
             robot: The arm that is taught.
             config: Settings of the training; its `features` are what is known beforehand.
             seed: Seed of the training.
+            kappa: How many times the members' disagreement is taken off their mean in planning [1].
+            among: Tool states over which members' means are alike for that, shape (N, 6) [m, 1].
         """
-        self._robot, self._config, self._seed = robot, config, seed
+        self._robot, self._config, self._seed, self._kappa, self._among = robot, config, seed, kappa, among
         self.dataset = FeedbackDataset(robot.config.name, robot.joint_names)
         self.ensemble: RewardEnsemble | None = None
 
@@ -49,7 +54,7 @@ class Ours:
                                      seed=self._seed, known=self.ensemble).ensemble
 
     def reward(self, context: Context) -> StateReward:
-        """Give the members' mean in a scene.
+        """Give the members' mean in a scene, less kappa times their disagreement.
 
         Args:
             context: Goal and objects.
@@ -62,4 +67,4 @@ class Ours:
         """
         if self.ensemble is None:
             raise TrainingError("nothing was learned yet", mend="teach something first")
-        return self.ensemble.bind(context)
+        return self.ensemble.bind(context, self._kappa, self._among)

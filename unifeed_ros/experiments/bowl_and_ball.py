@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from unifeed_ros.baselines.dempref import MotionFeatures
 from unifeed_ros.baselines.slsqp import solve_with_slsqp
@@ -17,12 +18,14 @@ from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.plan import plan_motion
 from unifeed_ros.core.planning.problem import PlanningProblem, StateReward
 from unifeed_ros.core.planning.starts import StartRepair
+from unifeed_ros.core.reward.queries import vary_trajectory
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import Scene
 from unifeed_ros.core.types import Array, Trajectory
 from unifeed_ros.experiments.query_bench import CONTEXT, RATIONALITY, START, draw_motions
-from unifeed_ros.experiments.reward_quality import WORKSPACE
+from unifeed_ros.experiments.reward_quality import WORKSPACE, retimed
 from unifeed_ros.resources import config_path
+from unifeed_ros.simulation.person import PersonConfig
 
 FEATURES = ("distance(goal)", "height(0.0)", "distance(ball)")
 """The paper's three features: distance to the bowl, height over the table, distance to the ball."""
@@ -37,45 +40,53 @@ ROOMY = replace(SCENE, workspace=tuple(np.array(SCENE.workspace) + np.repeat([-0
 """The same with 2 mm more room: motions that the planner's dense check finds outside by less are taken."""
 PLANNER = PlannerConfig(waypoints=WAYPOINTS, time_budget=60.0, whole_arm=False)
 """For all methods alike."""
+PERSON = PersonConfig()
+"""Pace and smooth error of a demonstration, as of the people of lessons."""
 STARTS = 6
 """Motions that the search for a person's optimum starts from."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Questions:
-    """What all people can be asked: pairs of motions, each to one random place."""
+    """What all people can be asked: pairs of the same motions."""
 
     robot: RobotModel
     """The arm."""
     motions: Sequence[Trajectory]
-    """2 Q motions; the first two are question 0 [rad]."""
+    """The motions, N of them [rad]."""
     states: Array
-    """Their tool states, shape (2 Q, H, 6) [m, 1]."""
+    """Their tool states, shape (N, H, 6) [m, 1]."""
     features: MotionFeatures
     """The three features, centred on these motions and in units of their standard deviation."""
     phi: Array
-    """Their features, shape (Q, 2, 3) [1]."""
+    """Their features, shape (N, 3) [1]."""
+    pairs: NDArray[np.intp]
+    """Which two each question compares, shape (Q, 2)."""
 
 
 @lru_cache(maxsize=2)
-def draw_questions(count: int, seed: int) -> Questions:
-    """Draw the motions, the same for all people and methods.
+def draw_questions(motions: int, questions: int, seed: int) -> Questions:
+    """Draw motions, two noisy ones to each of many random places, and pairs of them: for all people and methods alike.
 
     Args:
-        count: Number of motions, even.
+        motions: Number of motions N.
+        questions: Number of pairs Q.
         seed: Seed.
 
     Returns:
         The questions.
     """
     robot = RobotModel(load_robot(config_path("robots", "panda")))
-    motions = draw_motions(robot, count, WAYPOINTS, seed)
+    drawn = draw_motions(robot, motions, WAYPOINTS, seed)
     raw = MotionFeatures(names=FEATURES, context=CONTEXT, waypoints=WAYPOINTS, centre=np.zeros(3), spread=np.ones(3))
-    values = raw.of(robot, motions.trajectories)
+    values = raw.of(robot, drawn.trajectories)
     centre, spread = values.mean(axis=0), values.std(axis=0)
     features = MotionFeatures(names=FEATURES, context=CONTEXT, waypoints=WAYPOINTS, centre=centre, spread=spread)
-    return Questions(robot=robot, motions=motions.trajectories, states=motions.states, features=features,
-                     phi=((values - centre) / spread).reshape(-1, 2, 3))
+    rng = np.random.default_rng([seed, 9])
+    first = rng.integers(motions, size=questions)
+    second = (first + rng.integers(1, motions, size=questions)) % motions
+    return Questions(robot=robot, motions=drawn.trajectories, states=drawn.states, features=features,
+                     phi=(values - centre) / spread, pairs=np.stack([first, second], axis=-1))
 
 
 class Person:
@@ -83,9 +94,9 @@ class Person:
 
     Attributes:
         weights: What each feature is worth to them, in standard deviations over the motions, a unit vector, shape (3,).
-        demonstration: What they show: one of all motions, chosen by Luce's rule as answers are, so noisily optimal.
         optimum: Their best motion.
         optimal_return: Its return [reward].
+        demonstration: What they show of it: slower, and with the smooth error of the simulated people's hands.
     """
 
     def __init__(self, questions: Questions, rng: np.random.Generator) -> None:
@@ -101,10 +112,10 @@ class Person:
         weights = rng.normal(size=len(FEATURES))
         self.weights = weights / np.linalg.norm(weights)
         self._questions, self._reward = questions, questions.features.reward(self.weights)
-        self._luck = rng.random(len(questions.phi))
-        self.demonstration = self._demonstrate(rng)
+        self._luck = rng.random(len(questions.pairs))
         self.optimum = plan(questions.robot, self._reward, STARTS)
         self.optimal_return = self.returns(self.optimum)
+        self.demonstration = self._demonstrate(rng)
 
     def returns(self, motion: Trajectory) -> float:
         """Add up the true reward over H states (paper eq. P3), the motions' mean return nought.
@@ -118,11 +129,10 @@ class Person:
         return WAYPOINTS * float((self._questions.features.of(self._questions.robot, [motion]) @ self.weights)[0])
 
     def _demonstrate(self, rng: np.random.Generator) -> Demonstration:
-        questions = self._questions
-        appeal = RATIONALITY * questions.phi.reshape(-1, 3) @ self.weights
-        shown = int(np.argmax(appeal + rng.gumbel(size=len(appeal))))
-        return Demonstration(id="demonstration", robot=questions.robot.config.name, context=CONTEXT,
-                             trajectory=questions.motions[shown])
+        robot, pace = self._questions.robot, PERSON.pace * float(np.exp(rng.normal(scale=PERSON.pace_spread)))
+        slower = retimed(self.optimum, pace * self.optimum.duration)
+        return Demonstration(id="demonstration", robot=robot.config.name, context=CONTEXT,
+                             trajectory=vary_trajectory(robot, slower, PERSON.deviation, 1, rng)[0])
 
     def answer(self, question: int) -> Preference:
         """Answer a question by Luce's rule (paper eq. M3); the same question twice, the same answer.
@@ -133,9 +143,10 @@ class Person:
         Returns:
             The ranking.
         """
-        first, second = self._questions.phi[question] @ self.weights
+        pair = self._questions.pairs[question]
+        first, second = self._questions.phi[pair] @ self.weights
         prefers_first = self._luck[question] < 1.0 / (1.0 + np.exp(-RATIONALITY * (first - second)))
-        options = tuple(self._questions.motions[2 * question:2 * question + 2])
+        options = tuple(self._questions.motions[k] for k in pair)
         return Preference(id=f"question {question}", robot=self._questions.robot.config.name, context=CONTEXT,
                           options=options, ranks=(0, 1) if prefers_first else (1, 0))
 
@@ -159,13 +170,14 @@ def start_posture(robot: RobotModel) -> Array:
     return robot.inverse_kinematics(START)
 
 
-def plan(robot: RobotModel, reward: StateReward, starts: int = 1) -> Trajectory:
+def plan(robot: RobotModel, reward: StateReward, starts: int = 1, like: Sequence[Trajectory] = ()) -> Trajectory:
     """Find the motion of the largest return (paper eq. M10 without a goal).
 
     Args:
         robot: The arm.
         reward: Learned or true.
         starts: Motions that the search starts from.
+        like: Motions that it starts from besides, such as what was shown.
 
     Returns:
         The motion.
@@ -175,7 +187,8 @@ def plan(robot: RobotModel, reward: StateReward, starts: int = 1) -> Trajectory:
     """
     config = PLANNER if starts == 1 else replace(PLANNER, starts=starts, smoothness=0.1 * PLANNER.smoothness)
     start = start_posture(robot)
-    found = plan_motion(robot, reward, start, None, duration=DURATION, scene=SCENE, config=config)
+    seeds = [motion.resampled(WAYPOINTS) for motion in like]
+    found = plan_motion(robot, reward, start, None, duration=DURATION, scene=SCENE, config=config, seeds=seeds)
     if not (found.success or check_motion(found.trajectory, motion_bounds(robot, ROOMY, start, None, PLANNER)).ok):
         found = plan_motion(robot, reward, start, None, duration=DURATION, scene=SCENE,
                             config=replace(config, starts=STARTS, seed=1))
