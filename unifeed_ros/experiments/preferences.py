@@ -26,7 +26,7 @@ from unifeed_ros.experiments.experiment import (
     Summary,
     complete_people,
 )
-from unifeed_ros.experiments.query_bench import CONTEXT
+from unifeed_ros.experiments.query_bench import CONTEXT, RATIONALITY
 from unifeed_ros.experiments.statistics import mean_table, normality, paired_tests, residuals, rm_anova
 
 ALL, TWO = "DemPref (All)", "DemPref (Two)"
@@ -52,11 +52,12 @@ class PreferencesConfig:
     """Questions that each person is asked after the demonstration."""
     training: TrainingConfig = field(
         default_factory=lambda: TrainingConfig(waypoints=WAYPOINTS, preference_comparisons=50, warm_steps=0))
-    """Ours: a lesson's but for the weight of a ranked pair, ten times as large because most is taught by such pairs here,
-    and that each training begins from scratch."""
+    """Ours: a lesson's but for the weight of a ranked pair, ten times as large because most is taught by such pairs
+    here, and that each training begins from scratch."""
     kappa: float = 1.0
     """Ours: how many times the members' disagreement is taken off their mean in planning [1]."""
-    dempref: DemPrefConfig = field(default_factory=DemPrefConfig)
+    dempref: DemPrefConfig = field(
+        default_factory=lambda: DemPrefConfig(demonstration_rationality=1.0, answer_rationality=RATIONALITY))
     """DemPref."""
     check_every: int = 25
     """The optimum of every so many people is looked for with an independent solver too."""
@@ -252,9 +253,9 @@ NOTES = (
     "lessons make; answers follow Luce's rule over mean features with a rationality of 5, which DemPref knows.",
     "All methods plan from the straight line and from the demonstration, and keep the better by their own reward; ours "
     "plans with the members' mean less once their disagreement.",
-    "Settings were chosen on ten other people, of a seed that no run here uses: for ours, the weight of a ranked pair (5, "
-    "50, 200), going on from the last model or not, and kappa (0, 1); for DemPref, beta_D (0.1, 1) and what questions "
-    "are chosen by (information, volume).",
+    "Settings were chosen on ten other people, of a seed that no run here uses: for ours, the weight of a ranked pair "
+    "(5, 50, 200), going on from the last model or not, and kappa (0, 1); for DemPref, beta_D (0.1, 1) and what "
+    "questions are chosen by (information, volume).",
     "DemPref (Two) is the mean over three lessons, each without another feature; ours is never told a feature.",
     "More rapidly (H9) is decided by the mean regret over all questions, which was settled before the first full run.",
 )
