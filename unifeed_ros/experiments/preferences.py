@@ -127,13 +127,13 @@ def _lesson(who: Person, questions: Questions, learner: Learner, config: Prefere
     left = list(range(len(questions.pairs)))
     shown = who.demonstration
     for interaction in range(1, config.questions + 2):
-        began = time.perf_counter()
+        began = time.thread_time()
         item = shown if interaction == 1 else who.answer(left.pop(choose(left)))
-        chosen = time.perf_counter()
+        chosen = time.thread_time()
         learner.learn(item)
-        learned = time.perf_counter()
+        learned = time.thread_time()
         motion = plan(questions.robot, learner.reward(CONTEXT), like=[shown.trajectory])
-        times = {"train": 0.0, "sample": chosen - began, "plan": time.perf_counter() - learned}
+        times = {"train": 0.0, "sample": chosen - began, "plan": time.thread_time() - learned}
         times[learning] += learned - chosen
         regret = who.optimal_return - who.returns(motion)
         yield {"interaction": interaction, "regret": regret, "normalised_regret": regret / who.optimal_return,
