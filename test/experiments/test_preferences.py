@@ -39,7 +39,7 @@ from unifeed_ros.experiments.preferences import (
 from unifeed_ros.experiments.running import run_one
 
 QUICK = PreferencesConfig(
-    motions=60, candidates=80, questions=2, dempref=DemPrefConfig(chains=10, warm_up=50, steps=32),
+    motions=60, candidates=80, questions=1, dempref=DemPrefConfig(chains=10, warm_up=50, steps=32),
     training=TrainingConfig(waypoints=WAYPOINTS, hidden=(16, 16), members=3, steps=40, warm_steps=20, pool=100))
 SETTINGS = RunSettings(seed=2)
 EXACT = ["method", "missing", "interaction", "regret", "normalised_regret"]
@@ -83,8 +83,10 @@ def test_the_optimum_is_the_best_of_all_and_keeps_the_limits(questions, person):
     assert person.returns(learned) == pytest.approx(person.optimal_return, rel=0.02)
 
 
-def test_an_independent_solver_finds_no_better_optimum(person):
-    assert person.slsqp_return() <= 1.02 * person.optimal_return
+def test_an_independent_solver_finds_no_better_optimum(rows):
+    checked = rows[rows["slsqp_return"].notna()]
+    assert set(checked["person"]) == {0}
+    assert (checked["slsqp_return"] <= 1.02 * checked["optimal_return"]).all()
 
 
 def test_answers_follow_the_choice_rule_and_stay(questions, person):
@@ -98,7 +100,7 @@ def test_every_method_meets_every_interaction(rows):
     assert (rows["status"] == "ok").all(), rows["message"].iloc[0]
     counts = rows.groupby(["person", "method"])["interaction"].apply(lambda k: sorted(k))
     for (_, method), interactions in counts.items():
-        assert interactions == sorted([1, 2, 3] * (3 if method == TWO else 1))
+        assert interactions == sorted([1, 2] * (3 if method == TWO else 1))
     assert set(rows["method"]) == set(METHODS) == {c.method for c in EXPERIMENT.conditions}
     assert set(rows.loc[rows["method"] == TWO, "missing"]) == set(FEATURES)
 

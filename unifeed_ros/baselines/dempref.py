@@ -32,6 +32,8 @@ from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, Context, Trajectory, frozen_array
 
 Objective = Literal["information", "volume"]
+_WEIGHING = 100
+"""About how many samples questions are weighed with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,7 +188,8 @@ class DemPref:
         Returns:
             Its number.
         """
-        returns = self._config.answer_rationality * np.einsum("qkf,sf->qsk", questions, self.samples)
+        few = self.samples[::max(1, len(self.samples) // _WEIGHING)]
+        returns = self._config.answer_rationality * np.einsum("qkf,sf->qsk", questions, few)
         worth = information_gain(returns) if self._config.objective == "information" else removed_volume(returns)
         return int(np.argmax(worth))
 

@@ -26,8 +26,8 @@ OK, FAILED = "ok", "failed"
 
 Row: TypeAlias = dict[str, Any]
 """One interaction of one person in one condition. Given by `run_person`: task, method, interaction (the first is 1; 0:
-before any), what was measured, and seconds_train, seconds_plan, seconds_sample of the processor [s]; status and message where something
-failed. The experiment, the person and status "ok" are added."""
+before any), what was measured, and the processor's seconds_train, seconds_plan, seconds_sample [s]; status and message
+where something failed. The experiment, the person and status "ok" are added."""
 
 
 @dataclass(frozen=True, kw_only=True)
