@@ -48,6 +48,7 @@ def toy(run_person=None):
 
     def analysed(rows):
         complete, excluded = complete_people(rows)
+        assert len(complete), "there is nothing to analyse"
         return Summary(people=complete["person"].nunique(), excluded=excluded)
 
     return Experiment(name="toy", title="A toy", source="nothing", people=4, run_person=run_person or measured,
@@ -104,20 +105,25 @@ def test_times_are_kept_apart_and_rows_are_sorted(tmp_path, register):
     assert results[keys].equals(times[keys])
 
 
-def test_a_killed_run_goes_on_to_the_same_bytes(tmp_path):
-    whole, broken = tmp_path / "whole", tmp_path / "broken"
-    words = ("deformations", "--people", 400, "--out")
-    assert run(*words, whole) == 0
-    child = multiprocessing.get_context("fork").Process(target=run, args=(*words, broken))
+def test_a_killed_run_goes_on_to_the_same_bytes(tmp_path, register):
+    whole, broken, good = tmp_path / "whole", tmp_path / "broken", toy()
+
+    def stuck(person, settings):
+        time.sleep(60.0 if person == 6 else 0.0)
+        return good.run_person(person, settings)
+
+    register(toy(stuck))
+    child = multiprocessing.get_context("fork").Process(target=run, args=("toy", "--people", 9, "--out", broken))
     child.start()
-    while len(list(broken.glob("people/*.json"))) < 20:
-        time.sleep(0.001)
+    while not (broken / "people" / "00005.json").exists():
+        time.sleep(0.01)
     child.kill()
     child.join()
-    finished = len(list(broken.glob("people/[0-9]*.json")))
-    assert 20 <= finished < 400 and not (broken / "results.parquet").exists()
-    assert run(*words, broken, "--resume") == 0
-    assert json.loads((broken / "run.json").read_text())["people of this run"] == 400 - finished
+    assert not (broken / "results.parquet").exists()
+    register(good)
+    assert run("toy", "--people", 9, "--out", whole) == 0
+    assert run("toy", "--people", 9, "--out", broken, "--resume") == 0
+    assert json.loads((broken / "run.json").read_text())["people of this run"] == 3
     for name in ("results.parquet", "summary.json"):
         assert (whole / name).read_bytes() == (broken / name).read_bytes()
 
@@ -140,6 +146,9 @@ def test_a_failed_person_is_listed_in_every_condition_and_run_again(tmp_path, re
         "people": 3, "excluded": [1], "findings": [], "anovas": {}, "tables": {}, "notes": []}
     assert "| 1 | toy | a | 0 | ValueError: no / motion" in (tmp_path / "index.md").read_text()
     assert "1 people with failed runs: 1" in capsys.readouterr().out
+    ill.update(range(4))
+    assert run("toy", "--out", tmp_path / "all") == 1
+    assert len(pd.read_parquet(tmp_path / "all" / "results.parquet")) == 8
     ill.clear()
     assert run("toy", "--out", tmp_path, "--resume") == 0
     assert (pd.read_parquet(tmp_path / "results.parquet")["status"] == "ok").all()

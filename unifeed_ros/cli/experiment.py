@@ -38,7 +38,7 @@ def run_experiment(options: argparse.Namespace) -> int:
         ConfigError: An unknown experiment, a folder that cannot be used, or a cluster that cannot be reached.
     """
     os.environ["OMP_NUM_THREADS"] = "1"  # before any library that reads it: each person is given one thread
-    from unifeed_ros.experiments.experiment import RunSettings, find_experiment
+    from unifeed_ros.experiments.experiment import RunSettings, Summary, complete_people, find_experiment
     from unifeed_ros.experiments.page import write_page
     from unifeed_ros.experiments.progress import Progress
     from unifeed_ros.experiments.running import ClusterLostError, run_people
@@ -65,8 +65,9 @@ def run_experiment(options: argparse.Namespace) -> int:
         _say(str(error))
         return 1
     rows = folder.collect(range(count))
-    summary = experiment.analyse(rows)
-    figures = experiment.draw(rows, out)
+    complete, excluded = complete_people(rows)
+    summary = Summary(people=0, excluded=excluded) if complete.empty else experiment.analyse(rows)
+    figures = [] if complete.empty else experiment.draw(rows, out)
     command = f"unifeed experiment {options.name} --people {count} --seed {options.seed}"
     run = progress.describe(rows, command, options.jobs, options.cluster)
     text = json.dumps(_writable(summary.to_mapping()), indent=2, ensure_ascii=False)

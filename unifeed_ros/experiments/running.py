@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import traceback
 from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import ExitStack
 
 from distributed import Client, LocalCluster, as_completed
@@ -67,14 +68,15 @@ def _submitted(client: Client, experiment: Experiment, people: Sequence[int],
     futures = {client.submit(run_one, experiment, person, settings, pure=False): person for person in people}
     for future in as_completed(futures):
         person = futures.pop(future)
-        if future.status == "finished":
-            yield person, future.result()
-        elif future.status != "error":
+        try:
+            yield person, future.result()  # waits where the worker that held it ended meanwhile: it is run again
+        except KilledWorker:
+            yield person, None
+        except CancelledError as error:
             raise ClusterLostError("the Dask scheduler went away", got=f"{len(futures) + 1} people not finished",
-                                   mend="go on with --resume")
-        else:
-            error = future.exception()
-            yield person, None if isinstance(error, KilledWorker) else failed_rows(experiment, person, _why(error))
+                                   mend="go on with --resume") from error
+        except Exception as error:  # of the worker's own making: run_one lets none through
+            yield person, failed_rows(experiment, person, f"{type(error).__name__}: {error}")
         future.release()
 
 
@@ -104,10 +106,6 @@ def _where(error: Exception) -> str:
     """Say what failed and in which line."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__}: {error} ({last.name}, line {last.lineno})"
-
-
-def _why(error: BaseException | None) -> str:
-    return f"{type(error).__name__}: {error}"
 
 
 def _local(stack: ExitStack, jobs: int) -> Client:
