@@ -11,13 +11,20 @@ from pathlib import Path
 from typing import Any
 
 from unifeed_ros.cli.arguments import UserMistake
+from unifeed_ros.experiments.experiment import (
+    EXPERIMENTS,
+    RunSettings,
+    Summary,
+    complete_people,
+    find_experiment,
+)
 
 
 def add_experiment_command(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add `experiment` to the command line."""
     text = "repeat one of the paper's comparisons, docs/experiments.md"
     parser = commands.add_parser("experiment", help=text, description=text)
-    parser.add_argument("name", metavar="NAME", help="preferences or deformations")
+    parser.add_argument("name", metavar="NAME", help=f"one of {', '.join(EXPERIMENTS)}")
     parser.add_argument("--people", type=int, help="simulated people (default: the paper's number)")
     parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)),
                         help="processes at once (default: one a core)")
@@ -38,7 +45,6 @@ def run_experiment(options: argparse.Namespace) -> int:
         ConfigError: An unknown experiment, a folder that cannot be used, or a cluster that cannot be reached.
     """
     os.environ["OMP_NUM_THREADS"] = "1"  # before any library that reads it: each person is given one thread
-    from unifeed_ros.experiments.experiment import RunSettings, Summary, complete_people, find_experiment
     from unifeed_ros.experiments.page import write_page
     from unifeed_ros.experiments.progress import Progress
     from unifeed_ros.experiments.running import ClusterLostError, run_people

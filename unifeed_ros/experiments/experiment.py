@@ -6,13 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-import pandas as pd
 
 from unifeed_ros.core.errors import ConfigError
-from unifeed_ros.experiments.statistics import Anova, PairedTest
+from unifeed_ros.experiments.analysis import Anova, PairedTest
+
+if TYPE_CHECKING:  # processes that run people wait for neither pandas nor the statistics to load
+    import pandas as pd
 
 EXPERIMENTS: Mapping[str, str] = {
     name: f"unifeed_ros.experiments.{name}" for name in ("preferences", "deformations")}

@@ -8,6 +8,7 @@ from typing import Any
 
 import pandas as pd
 
+from unifeed_ros.experiments.analysis import PairedTest
 from unifeed_ros.experiments.experiment import OK, Experiment, Summary
 
 _VERDICTS = {True: "supported", False: "not supported", None: "too few people to say"}
@@ -38,7 +39,7 @@ def write_page(folder: Path, experiment: Experiment, summary: Summary, rows: pd.
         lines += [f"| {f.hypothesis} | {f.paper} | {f.ours} | {_VERDICTS[f.supported]} |" for f in summary.findings]
         for finding in summary.findings:
             if finding.tests:
-                lines += ["", f"Tests of {finding.hypothesis}:", "", *test_table(finding.tests)]
+                lines += ["", f"Tests of {finding.hypothesis}:", "", *tests_table(finding.tests)]
     if summary.anovas:
         lines += ["", "## Analyses of variance", "", "Repeated measures, corrected after Greenhouse and Geisser.", ""]
         lines += [f"- {what}: {anova}" for what, anova in summary.anovas.items()]
@@ -53,7 +54,7 @@ def write_page(folder: Path, experiment: Experiment, summary: Summary, rows: pd.
     return page
 
 
-def test_table(tests: Iterable[Any]) -> list[str]:
+def tests_table(tests: Iterable[PairedTest]) -> list[str]:
     """Write paired tests as a Markdown table.
 
     Args:
