@@ -44,7 +44,7 @@ def run_experiment(options: argparse.Namespace) -> int:
         UserMistake: A number that runs nothing.
         ConfigError: An unknown experiment, a folder that cannot be used, or a cluster that cannot be reached.
     """
-    os.environ["OMP_NUM_THREADS"] = "1"  # before any library that reads it: each person is given one thread
+    os.environ["OMP_NUM_THREADS"] = "1"  # before torch reads it: each person is given one thread
     from unifeed_ros.experiments.page import write_page
     from unifeed_ros.experiments.progress import Progress
     from unifeed_ros.experiments.running import ClusterLostError, run_people
