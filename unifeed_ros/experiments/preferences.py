@@ -18,6 +18,7 @@ from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.reward.queries import information_gain
 from unifeed_ros.experiments.bowl_and_ball import FEATURES, WAYPOINTS, Person, Questions, draw_questions, plan
 from unifeed_ros.experiments.experiment import (
+    TIMES,
     Condition,
     Experiment,
     Finding,
@@ -93,10 +94,9 @@ def run_person(person: int, settings: RunSettings, config: PreferencesConfig | N
             if method == ACTIVE else (lambda left: int(luck.integers(len(left))))
         rows += [{"method": method, "missing": "", **row} for row in _lesson(who, questions, ours, config, "train",
                                                                               choose)]
-    demonstrated = next(row for row in rows if row["method"] == PASSIVE)
-    rows += [{**demonstrated, "method": DEMO, "interaction": k,
-              **({} if k == 1 else dict.fromkeys(("seconds_train", "seconds_plan", "seconds_sample"), 0.0))}
-             for k in range(1, config.questions + 2)]
+    demonstrated = {name: value for name, value in next(row for row in rows if row["method"] == PASSIVE).items()
+                    if not name.startswith(TIMES)}
+    rows += [{**demonstrated, "method": DEMO, "interaction": k} for k in range(1, config.questions + 2)]
     checked = who.slsqp_return() if person % config.check_every == 0 else float("nan")
     return [{"task": TASK, **row, "optimal_return": who.optimal_return, "slsqp_return": checked} for row in rows]
 
