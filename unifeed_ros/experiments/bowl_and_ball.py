@@ -36,8 +36,10 @@ DURATION = 3.0
 SCENE = Scene(task=CONTEXT.task, start=START, goal=CONTEXT.goal, objects=dict(CONTEXT.objects), duration=DURATION,
               workspace=(*WORKSPACE[0], *WORKSPACE[1]))
 """The bowl is the goal in name only: motions end wherever the reward leads, inside the workspace."""
-ROOMY = replace(SCENE, workspace=tuple(np.array(SCENE.workspace) + np.repeat([-0.002, 0.002], 3)))
-"""The same with 2 mm more room: motions that the planner's dense check finds outside by less are taken."""
+ROOMY, TIGHT = (replace(SCENE, workspace=tuple(np.array(SCENE.workspace) + np.repeat([-room, room], 3)))
+                for room in (0.002, -0.01))
+"""The same with 2 mm more room, up to which motions are taken that the planner's dense check finds outside; and with
+1 cm less, for the one plan in a thousand that otherwise leaves it by more between two way-points."""
 PLANNER = PlannerConfig(waypoints=WAYPOINTS, time_budget=60.0, whole_arm=False, tolerance=1e-3)
 """For all methods alike; it ends a quarter sooner than with the default tolerance, within 0.1 % of the return."""
 OPTIMUM = replace(PLANNER, starts=6, smoothness=0.1 * PLANNER.smoothness, tolerance=2e-4)
@@ -186,12 +188,11 @@ def plan(robot: RobotModel, reward: StateReward, like: Sequence[Trajectory] = ()
     Raises:
         PlanningError: No motion satisfies the constraints.
     """
-    start = start_posture(robot)
-    seeds = [motion.resampled(WAYPOINTS) for motion in like]
-    found = plan_motion(robot, reward, start, None, duration=DURATION, scene=SCENE, config=config, seeds=seeds)
-    if not (found.success or check_motion(found.trajectory, motion_bounds(robot, ROOMY, start, None, PLANNER)).ok):
-        found = plan_motion(robot, reward, start, None, duration=DURATION, scene=SCENE,
-                            config=replace(config, starts=OPTIMUM.starts, seed=1))
-        if not found.success:
-            raise PlanningError("no motion for a reward over bowl, table and ball", got=found.message)
-    return found.trajectory
+    start, seeds = start_posture(robot), [motion.resampled(WAYPOINTS) for motion in like]
+    allowed = motion_bounds(robot, ROOMY, start, None, PLANNER)
+    many = replace(config, starts=OPTIMUM.starts, seed=1)
+    for scene, settings, given in ((SCENE, config, seeds), (SCENE, many, ()), (TIGHT, config, seeds)):
+        found = plan_motion(robot, reward, start, None, duration=DURATION, scene=scene, config=settings, seeds=given)
+        if found.success or check_motion(found.trajectory, allowed).ok:
+            return found.trajectory
+    raise PlanningError("no motion for a reward over bowl, table and ball", got=found.message)
