@@ -184,7 +184,15 @@ class Ferl:
         Raises:
             InputError: See the function of that name.
         """
-        self.coactive.add(learn_feature(traces, self._config, self._seed + len(self.coactive.sources)))
+        self.add(learn_feature(traces, self._config, self._seed + len(self.coactive.sources)))
+
+    def add(self, feature: LearnedFeature) -> None:
+        """Take in one missing feature that was learned.
+
+        Args:
+            feature: From the function learn_feature.
+        """
+        self.coactive.add(feature)
 
     def learn(self, item: FeedbackItem) -> None:
         """Update the weights of all features.
