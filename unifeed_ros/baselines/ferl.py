@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import torch
+from scipy.special import expit
 from torch import Tensor, nn
 
 from unifeed_ros.baselines.coactive import Coactive, CoactiveConfig
@@ -23,6 +24,8 @@ from unifeed_ros.core.reward.inputs import SceneInputs, scene_inputs
 from unifeed_ros.core.robot import TOOL_STATE, RobotModel
 from unifeed_ros.core.types import Array, Context, frozen_array
 
+LEAK = 0.01
+"""Slope of the hidden layers' activation below zero."""
 EQUAL = 0.5
 """Label of a pair whose feature values are the same."""
 
@@ -106,13 +109,22 @@ class LearnedFeature:
             Values [1] and gradients over tool states.
         """
         inputs, scale = scene_inputs(self.inputs, context), 1.0 / (self.high - self.low)
+        layers = [(layer.weight.numpy().T, layer.bias.numpy()) for layer in self.network if isinstance(layer, nn.Linear)]
 
         def feature(states: Array) -> tuple[Array, Array]:
-            into = _tensor(inputs, states).requires_grad_(True)
-            values = self.network(into)[:, 0]
-            (slopes,) = torch.autograd.grad(values.sum(), into)
-            return ((values.detach().numpy().astype(np.float64) - self.low) * scale,
-                    scale * slopes.numpy().astype(np.float64) @ inputs.matrix.T)
+            hidden, slopes = inputs.values(states).astype(np.float32), []
+            for weight, bias in layers[:-1]:
+                hidden = hidden @ weight + bias
+                slopes.append(np.where(hidden > 0.0, np.float32(1.0), np.float32(LEAK)))
+                hidden = hidden * slopes[-1]
+            output = hidden @ layers[-1][0] + layers[-1][1]
+            backward = expit(output)  # of the softplus
+            for (weight, _), slope in zip(reversed(layers), (*reversed(slopes), None), strict=True):
+                backward = backward @ weight.T
+                if slope is not None:
+                    backward = backward * slope
+            values = np.logaddexp(0.0, output[:, 0].astype(np.float64))
+            return scale * (values - self.low), scale * backward.astype(np.float64) @ inputs.matrix.T
 
         return feature
 
@@ -306,7 +318,7 @@ def _train(pairs: _Pairs, config: FerlConfig, epochs: int, rng: np.random.Genera
         bound = into**-0.5  # torch's own rule, from a generator of our own
         nn.init.uniform_(linear.weight, -bound, bound, generator=generator)
         nn.init.uniform_(linear.bias, -bound, bound, generator=generator)
-        layers += [linear, nn.LeakyReLU()]
+        layers += [linear, nn.LeakyReLU(LEAK)]
     network = nn.Sequential(*layers[:-1], nn.Softplus())
     adam = torch.optim.Adam(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay,
                             fused=True)

@@ -35,7 +35,7 @@ class RricConfig:
     """Sizes of their displacement, one drawn for each (RMS of the middle in each coordinate) [m]."""
     axis_sizes: Sequence[float] = (0.0, 0.1, 0.3, 1.0)
     """Sizes of the tilt of their axis, one drawn for each [rad]."""
-    samples: int = 4000
+    samples: int = 10000
     """Samples of the posterior, the first half of which is forgotten."""
     step: float = 0.25
     """Largest change of a weight from one sample to the next that is proposed [reward / feature's unit]."""

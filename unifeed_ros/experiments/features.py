@@ -34,7 +34,7 @@ INTERACTIONS, TRACES = 20, 10
 class MethodSettings:
     """Settings of the compared methods, as tuned (docs/methods.md)."""
 
-    coactive: CoactiveConfig = field(default_factory=CoactiveConfig)
+    coactive: CoactiveConfig = CoactiveConfig(gain=0.1, update="max", reading="push")
     """Of Coactive."""
     ferl: FerlConfig = field(default_factory=FerlConfig)
     """Of FERL."""
@@ -108,9 +108,9 @@ class LearnedFeatures:
     def __getitem__(self, name: str) -> LearnedFeature:
         """Give what was learned of a feature."""
         if name not in self._learned:
-            began = time.perf_counter()
+            began = time.thread_time()
             self._learned[name] = learn_feature(self._traces[name], self._config, self._seed)
-            self.seconds += time.perf_counter() - began
+            self.seconds += time.thread_time() - began
         return self._learned[name]
 
 
@@ -156,9 +156,9 @@ def teach(learner: Learner, lesson: Lesson, interactions: int = INTERACTIONS) ->
     item: FeedbackItem = person.demonstrate("demonstration")
     plan: Plan | None = None
     for interaction in range(1, interactions + 1):
-        began = time.perf_counter()
+        began = time.thread_time()
         learner.learn(item)
-        learned = time.perf_counter()
+        learned = time.thread_time()
         found = plan_motion(lesson.robot, learner.reward(scene.context()), start, goal, duration=scene.duration,
                             scene=scene, config=lesson.planner)
         if plan is None and not found.success:
@@ -167,7 +167,7 @@ def teach(learner: Learner, lesson: Lesson, interactions: int = INTERACTIONS) ->
         rows.append({"interaction": interaction, "regret": yardstick.regret(plan.trajectory),
                      "normalised_regret": yardstick.normalised_regret(plan.trajectory), "planned": found.success,
                      "optimum_gap": lesson.optimum.gap, "seconds_train": learned - began,
-                     "seconds_plan": time.perf_counter() - learned})
+                     "seconds_plan": time.thread_time() - learned})
         item = person.correct(f"correction {interaction}", plan.trajectory)
     return rows
 
