@@ -11,6 +11,7 @@ from unifeed_ros.core.feedback.items import Demonstration, Preference
 
 from .slider import CONTEXT, FEATURES, Slider, correction, motion
 
+
 def coactive(**settings):
     return Coactive(Slider(), FEATURES, CoactiveConfig(**settings))
 

@@ -1,5 +1,7 @@
 """RRIC's sampled posterior beside exhaustive enumeration, and what it infers from each kind of feedback."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -85,7 +87,7 @@ def test_more_of_the_same_makes_it_surer_and_a_tie_changes_nothing_that_was_chos
     learner.learn(correction(HIGH, LOW))
     assert learner.samples.std(axis=0)[0] < before
     count = len(learner.choices)
-    learner.learn(Preference(id="t", robot="slider", context=CONTEXT, options=(motion(HIGH), motion(LOW)), ranks=(0, 0)))
+    learner.learn(replace(ranking(), id="t", ranks=(0, 0)))
     assert len(learner.choices) == count
 
 

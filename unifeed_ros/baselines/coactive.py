@@ -1,7 +1,7 @@
 """Coactive learning, or online learning from physical human-robot interaction.
 
-Losey, Bajcsy, O'Malley and Dragan 2021 (the paper's \\cite{losey2021physical}); Jain and others 2015; "one feature at a
-time": Bajcsy and others 2018. Values and departures: docs/methods.md.
+Losey, Bajcsy, O'Malley and Dragan 2021 (the paper's reference losey2021physical); Jain and others 2015; "one feature at
+a time": Bajcsy and others 2018. Values and departures: docs/methods.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """FERL: learns the features that are missing from traces, then the reward as Coactive does.
 
 Bobu, Wiggert, Tomlin and Dragan 2022, "Inducing structure in reward learning by learning features" (the paper's
-\\cite{bobu2022inducing}). Values and departures: docs/methods.md.
+citation bobu2022inducing). Values and departures: docs/methods.md.
 """
 
 from __future__ import annotations
@@ -109,7 +109,8 @@ class LearnedFeature:
             Values [1] and gradients over tool states.
         """
         inputs, scale = scene_inputs(self.inputs, context), 1.0 / (self.high - self.low)
-        layers = [(layer.weight.numpy().T, layer.bias.numpy()) for layer in self.network if isinstance(layer, nn.Linear)]
+        layers = [(linear.weight.numpy().T, linear.bias.numpy())
+                  for linear in self.network if isinstance(linear, nn.Linear)]
 
         def feature(states: Array) -> tuple[Array, Array]:
             hidden, slopes = inputs.values(states).astype(np.float32), []

@@ -1,6 +1,6 @@
 """RRIC: reward-rational implicit choice, Bayesian inference of feature weights from all kinds of feedback.
 
-Jeon, Milli and Dragan 2020 (the paper's \\cite{jeon2020reward}). Values and departures: docs/methods.md.
+Jeon, Milli and Dragan 2020 (the paper's reference jeon2020reward). Values and departures: docs/methods.md.
 """
 
 from __future__ import annotations

@@ -29,14 +29,17 @@ from unifeed_ros.simulation.trajectory_person import TrajectoryPerson
 INTERACTIONS, TRACES = 20, 10
 """Inputs of a person, the first one a demonstration, the others corrections; traces of each missing feature."""
 
+TUNED = CoactiveConfig(gain=0.1, update="max", reading="push")
+"""What was best of Coactive on other people (docs/methods.md)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class MethodSettings:
     """Settings of the compared methods, as tuned (docs/methods.md)."""
 
-    coactive: CoactiveConfig = CoactiveConfig(gain=0.1, update="max", reading="push")
+    coactive: CoactiveConfig = TUNED
     """Of Coactive."""
-    ferl: FerlConfig = field(default_factory=FerlConfig)
+    ferl: FerlConfig = field(default_factory=lambda: FerlConfig(coactive=TUNED))
     """Of FERL."""
     ours: TrainingConfig = field(default_factory=TrainingConfig)
     """Of ours; its features are replaced by those that are known."""

@@ -61,7 +61,8 @@ def analyse(rows: pd.DataFrame) -> Summary:
     last = complete[complete["interaction"] == complete["interaction"].max()]
     cells = [label(task, known) for known in KNOWN for task in FEATURES]
     tables = {f"Regret after interaction {int(last['interaction'].max())} [reward]": [
-        {"task": cell, **row} for cell in cells for row in mean_table(last[last["task"] == cell], "regret", ["method"])],
+        {"task": cell, **row} for cell in cells
+        for row in mean_table(last[last["task"] == cell], "regret", ["method"])],
         "The same as a share of the straight line's regret [1]": [
         {"task": cell, **{m: float(last.loc[(last["task"] == cell) & (last["method"] == m), "normalised_regret"].mean())
                           for m in METHODS}} for cell in cells]}
@@ -78,7 +79,8 @@ def analyse(rows: pd.DataFrame) -> Summary:
     normal = normality(_residuals(last))
     anovas = {"regret at the last interaction by method, all tasks and sets of features":
               rm_anova(last, "regret", "method")[0],
-              **{f"the same, {known}": rm_anova(last[last["known"] == known], "regret", "method")[0] for known in KNOWN}}
+              **{f"the same, {known}": rm_anova(last[last["known"] == known], "regret", "method")[0]
+                 for known in KNOWN}}
     notes.append(f"Normality of the residuals of normalised regret at the last interaction: Shapiro-Wilk W = "
                  f"{normal.statistic:.3f}, p = {normal.p:.2g}, correlation of the Q-Q plot {normal.correlation:.3f}.")
     return Summary(people=people, excluded=excluded, findings=[_h6(tests), _h7(tests, last)], anovas=anovas,

@@ -1,4 +1,4 @@
-"""Tunes the methods of `features` on people who are not in its results: python -m unifeed_ros.experiments.features_tuning.
+"""Tunes the methods of `features` on other people: python -m unifeed_ros.experiments.features_tuning METHOD.
 
 What came out is in docs/methods.md, and the values chosen are the defaults of MethodSettings.
 """

@@ -47,9 +47,10 @@ def confirmed_optimum(robot: RobotModel, task: TrueTask, config: PlannerConfig) 
     yardstick = measure(robot, task, config)
     scene = task.scene
     start, goal = endpoints(robot, scene)
-    problem = PlanningProblem(robot, task, start, goal, scene.duration, motion_bounds(robot, scene, start, goal, config),
-                              config)
+    bounds = motion_bounds(robot, scene, start, goal, config)
+    problem = PlanningProblem(robot, task, start, goal, scene.duration, bounds, config)
+    repair = StartRepair(problem)
     others = [solve_with_slsqp(problem, first, exact=True, limit=LIMIT).waypoints
-              for first in (StartRepair(problem).line, StartRepair(problem)(yardstick.optimum.resampled(problem.count)))]
+              for first in (repair.line, repair(yardstick.optimum.resampled(problem.count)))]
     return ConfirmedOptimum(yardstick, min(yardstick.normalised_regret(sample_spline(
         waypoints, scene.duration, robot.joint_names, config.sample_rate)) for waypoints in others))
