@@ -29,8 +29,9 @@ from unifeed_ros.simulation.trajectory_person import TrajectoryPerson
 INTERACTIONS, TRACES = 20, 10
 """Inputs of a person, the first one a demonstration, the others corrections; traces of each missing feature."""
 
-TUNED = CoactiveConfig(gain=0.1, update="max", reading="push")
-"""What was best of Coactive on other people (docs/methods.md)."""
+TUNED = CoactiveConfig(gain=3.0, update="max", reading="push")
+"""What was best of Coactive on other people (docs/methods.md); FERL, which is Coactive where all features are known, has
+the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
