@@ -17,7 +17,7 @@ from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.plan import Plan, plan_motion
 from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.robot import RobotModel, load_robot
-from unifeed_ros.core.scene import load_scene
+from unifeed_ros.core.scene import Scene, load_scene
 from unifeed_ros.experiments.experiment import Condition, Experiment, Row, RunSettings
 from unifeed_ros.experiments.features_findings import FEATURES, KNOWN, METHODS, analyse, draw, label
 from unifeed_ros.experiments.optimum import ConfirmedOptimum, confirmed_optimum
@@ -30,8 +30,8 @@ INTERACTIONS, TRACES = 20, 10
 """Inputs of a person, the first one a demonstration, the others corrections; traces of each missing feature."""
 
 TUNED = CoactiveConfig(gain=3.0, update="max", reading="push")
-"""What was best of Coactive on other people (docs/methods.md); FERL, which is Coactive where all features are known, has
-the same."""
+"""What was best of Coactive on other people (docs/methods.md). FERL has it too: where all features are known, it is the
+same method."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +69,8 @@ def _robot() -> RobotModel:
     return RobotModel(load_robot(config_path("robots", "ur10")))
 
 
-def lesson_of(task: str, person: int, settings: RunSettings) -> Lesson:
-    """Draw a person's start and goal near the task's own, and find the optimum between them.
+def scene_of(task: str, person: int, settings: RunSettings) -> Scene:
+    """Draw a person's start and goal near the task's own.
 
     Args:
         task: Name of the task.
@@ -78,12 +78,25 @@ def lesson_of(task: str, person: int, settings: RunSettings) -> Lesson:
         settings: Seed.
 
     Returns:
-        The lesson.
+        The task between them.
     """
-    planner, scene = PlannerConfig(), load_scene(config_path("tasks", task))
     place = int(settings.rng(person, 1).integers(2**31))
-    pair = next(random_pairs(_robot(), scene, planner, seed=place))
-    return Lesson(robot=_robot(), optimum=confirmed_optimum(_robot(), TrueTask(scene=pair.scene), planner),
+    return next(random_pairs(_robot(), load_scene(config_path("tasks", task)), PlannerConfig(), seed=place)).scene
+
+
+def lesson_of(task: str, person: int, settings: RunSettings) -> Lesson:
+    """Prepare a person's lesson.
+
+    Args:
+        task: Name of the task.
+        person: Number of the person.
+        settings: Seed.
+
+    Returns:
+        The lesson, with the optimum of the person's scene.
+    """
+    planner, scene = PlannerConfig(), scene_of(task, person, settings)
+    return Lesson(robot=_robot(), optimum=confirmed_optimum(_robot(), TrueTask(scene=scene), planner),
                   seed=(settings.seed, person, list(FEATURES).index(task)), planner=planner)
 
 
