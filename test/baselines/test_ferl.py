@@ -5,7 +5,8 @@ import pytest
 import torch
 from scipy.stats import spearmanr
 
-from unifeed_ros.baselines.ferl import FeatureTrace, Ferl, FerlConfig, learn_feature
+from unifeed_ros.baselines.ferl import Ferl, FerlConfig
+from unifeed_ros.baselines.learned_feature import FeatureTrace, TraceTraining, learn_feature
 from unifeed_ros.core.errors import InputError, ShapeError
 from unifeed_ros.core.reward.features import make_feature
 from unifeed_ros.core.types import Context
@@ -15,7 +16,7 @@ from .slider import Slider, correction
 LOW, HIGH = (0.2, -0.5, 0.05), (0.75, 0.5, 0.6)
 CONTEXT = Context(goal=np.add(LOW, HIGH) / 2.0)
 """The goal is in the middle, so that it is far from all corners, not from one side only."""
-QUICK = FerlConfig(epochs=25)
+QUICK = TraceTraining(epochs=25)
 """A quarter of the passes: enough to rank states rightly."""
 
 
@@ -91,32 +92,32 @@ def test_the_inputs_that_explain_the_feature_are_chosen(height):
         axes = np.stack([np.sin(angles) * np.cos(turn), np.sin(angles) * np.sin(turn), -np.cos(angles)], axis=1)
         places = np.tile(rng.uniform(LOW, HIGH), (12, 1)) + rng.normal(scale=0.005, size=(12, 3))
         tilted.append(FeatureTrace(context=CONTEXT, states=np.concatenate([places, axes], axis=1)))
-    assert learn_feature(tilted, FerlConfig(epochs=1), seed=0).inputs == ("axis_x", "axis_y", "axis_z")
+    assert learn_feature(tilted, TraceTraining(epochs=1), seed=0).inputs == ("axis_x", "axis_y", "axis_z")
 
 
 def test_the_same_seed_gives_the_same_feature(somewhere):
     few = traces("height(0.0)", np.random.default_rng(3), count=3, points=5)
-    one, two = (learn_feature(few, FerlConfig(epochs=2), seed=5)(CONTEXT)(somewhere)[0] for _ in range(2))
+    one, two = (learn_feature(few, TraceTraining(epochs=2), seed=5)(CONTEXT)(somewhere)[0] for _ in range(2))
     assert one.tobytes() == two.tobytes()
 
 
 def test_pushing_down_is_explained_by_height_and_not_by_the_distance_over_the_table():
     down = correction([[0.2, 0.0, 0.4], [0.4, 0.0, 0.4]], [[0.2, 0.0, 0.3], [0.4, 0.0, 0.3]])
-    knows, lacks = (Ferl(Slider(), [name], QUICK, seed=0) for name in ("height(0.0)", "distance_xy(goal)"))
+    knows, lacks = (Ferl(Slider(), [name], FerlConfig(), seed=0) for name in ("height(0.0)", "distance_xy(goal)"))
     assert knows.confidences(down)[0] > 1e6 and not knows.misses_feature(down)
     assert lacks.confidences(down)[0] == 0.0 and lacks.misses_feature(down)
-    assert Ferl(Slider(), [], QUICK, seed=0).misses_feature(down)
+    assert Ferl(Slider(), [], FerlConfig(), seed=0).misses_feature(down)
 
 
 def test_a_push_at_45_degrees_to_a_feature_is_explained_by_half():
     aslant = correction([[0.2, 0.0, 0.4], [0.4, 0.0, 0.4]], [[0.2, 0.1, 0.3], [0.4, 0.1, 0.3]])
-    ferl = Ferl(Slider(), ["height(0.0)"], QUICK, seed=0)
+    ferl = Ferl(Slider(), ["height(0.0)"], FerlConfig(), seed=0)
     # ||u*||^2 is half of ||u||^2: beta = 1 * (1/2) / (2 * (1 - 1/2))
     assert ferl.confidences(aslant)[0] == pytest.approx(0.5)
 
 
 def test_a_learned_feature_takes_part_in_the_reward(height):
-    ferl = Ferl(Slider(), ["distance_xy(goal)"], QUICK, seed=0)
+    ferl = Ferl(Slider(), ["distance_xy(goal)"], FerlConfig(), seed=0)
     ferl.add(height)
     down = correction([[0.2, 0.0, 0.5], [0.4, 0.0, 0.5]], [[0.2, 0.0, 0.2], [0.4, 0.0, 0.2]])
     ferl.learn(down)

@@ -5,11 +5,12 @@ import pandas as pd
 import pytest
 
 from unifeed_ros.baselines.ferl import FerlConfig
+from unifeed_ros.baselines.learned_feature import TraceTraining
 from unifeed_ros.experiments.experiment import RunSettings, find_experiment
 from unifeed_ros.experiments.features import LearnedFeatures, MethodSettings, lesson_of, run_condition, scene_of
 from unifeed_ros.experiments.features_findings import FEATURES, KNOWN, METHODS, analyse, draw, label
 
-QUICK = MethodSettings(ferl=FerlConfig(epochs=2, choosing_epochs=1))
+QUICK = MethodSettings(ferl=FerlConfig(traces=TraceTraining(epochs=2, choosing_epochs=1)))
 
 
 @pytest.fixture(scope="module")

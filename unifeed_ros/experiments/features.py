@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 from unifeed_ros.baselines.coactive import Coactive, CoactiveConfig
-from unifeed_ros.baselines.ferl import FeatureTrace, Ferl, FerlConfig, LearnedFeature, learn_feature
+from unifeed_ros.baselines.ferl import Ferl, FerlConfig
+from unifeed_ros.baselines.learned_feature import FeatureTrace, LearnedFeature, learn_feature
 from unifeed_ros.baselines.learner import Learner
 from unifeed_ros.baselines.ours import Ours
 from unifeed_ros.core.errors import PlanningError
@@ -126,7 +127,7 @@ class LearnedFeatures:
         """Give what was learned of a feature."""
         if name not in self._learned:
             began = time.thread_time()
-            self._learned[name] = learn_feature(self._traces[name], self._config, self._seed)
+            self._learned[name] = learn_feature(self._traces[name], self._config.traces, self._seed)
             self.seconds += time.thread_time() - began
         return self._learned[name]
 
