@@ -8,16 +8,9 @@ from pathlib import Path
 import pandas as pd
 
 from unifeed_ros.core.types import Array
+from unifeed_ros.experiments.analysis import LEVEL, PairedTest
 from unifeed_ros.experiments.experiment import Finding, Summary, complete_people
-from unifeed_ros.experiments.statistics import (
-    LEVEL,
-    PairedTest,
-    mean_table,
-    normality,
-    paired_tests,
-    residuals,
-    rm_anova,
-)
+from unifeed_ros.experiments.statistics import mean_table, normality, paired_tests, residuals, rm_anova
 
 FEATURES: Mapping[str, tuple[str, ...]] = {
     "table": ("distance(goal)", "height(0.0)"),
