@@ -115,6 +115,7 @@ NOTES = (
     "methods; the planner fixes both ends (eq. M10) and is the same for all.",
     "A person always gives all 19 corrections, also of a motion that is better than their own error.",
     "Feature traces are not among the 20 interactions, as in the paper.",
+    "With all features known FERL is Coactive, so that its curve covers Coactive's.",
     "Without any feature, Coactive has no reward: its motion is the smoothest one, whatever is taught.",
     "H6 counts as supported where ours is not significantly worse in any task; H7 where ours is significantly better "
     "than both over all tasks, with one missing and with none known, and significantly worse in no task.",
