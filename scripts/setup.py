@@ -30,7 +30,8 @@ REQUIREMENTS = ("requirements.txt", "requirements-dev.txt")
 ROS_REQUIREMENTS = "requirements-ros.txt"
 IMPORTS = ("torch", "scipy.interpolate", "scipy.optimize", "pinocchio", "mujoco", "matplotlib.pyplot", "mcap.writer",
            "safetensors.numpy", "rclpy.action", "sensor_msgs.msg", "pytest", "hypothesis", "osqp", "piqp",
-           "rosbags.highlevel", "mcap_ros2.decoder", "pyarrow.parquet", "pandas")
+           "rosbags.highlevel", "mcap_ros2.decoder", "pyarrow.parquet", "pandas",
+           "pingouin", "distributed")
 """Imported once by setup: an incomplete install shows, and what the nodes need is compiled, the rest never."""
 ROS_VARIABLES = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONPATH",
                  "PYTHONHOME", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "_UNIFEED_ENVIRONMENT")

@@ -18,7 +18,7 @@ MAY_IMPORT = {
     "core": {"core"},
     "simulation": {"core", "simulation"},
     "baselines": {"core", "baselines"},
-    "experiments": {"core", "simulation", "baselines", "experiments"},
+    "experiments": {"core", "simulation", "baselines", "experiments", "resources"},
     "resources": {"core"},
     "console": {"core", "console"},
     "nodes": {"core", "simulation", "console", "nodes", "resources"},

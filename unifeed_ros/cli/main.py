@@ -21,6 +21,7 @@ def build_parser() -> argparse.ArgumentParser:
     from unifeed_ros.cli.bench import add_bench_command
     from unifeed_ros.cli.demo import add_demo_command
     from unifeed_ros.cli.doctor import add_doctor_command
+    from unifeed_ros.cli.experiment import add_experiment_command
     from unifeed_ros.cli.learn import add_learn_command
     from unifeed_ros.cli.replay import add_replay_command
     from unifeed_ros.cli.up import add_up_command
@@ -34,6 +35,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_replay_command(commands)
     add_bag_commands(commands)
     add_bench_command(commands)
+    add_experiment_command(commands)
     add_doctor_command(commands)
     return parser
 
