@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterator
 from functools import partial
 from typing import Any, ClassVar, Protocol
@@ -16,8 +15,10 @@ from textual.widgets import Button, DataTable, ProgressBar, Static
 from unifeed_ros.console.commands import ANSWERS, COMMANDS, GREY, LESSON, STOP, TAKE, Command
 from unifeed_ros.console.health import worst
 from unifeed_ros.console.state import KIND_WORDS, LessonView, Phase, Taught, allowed, banner, refusal, watching
-from unifeed_ros.console.words import COLOURS, HIGHEST_FORCE, SYMBOLS
+from unifeed_ros.console.words import COLOURS, HIGHEST_FORCE
 
+SYMBOLS = {"robot": "\u25b6", "person": "\u25cf", "nobody": "\u25cb", "stopped": "\u25a0"}
+"""A symbol beside every colour, of those that every terminal's font has."""
 LOOK_PERIOD = 0.1
 """Time between two looks at the lesson [s]."""
 MARKED = Command("marked", "Forget / give back  (X)", ("X",), "Forgets the marked input, or gives it back.", GREY)
@@ -58,7 +59,7 @@ class TeachingTerminal(App[None]):
     #stop { width: 100%; height: 3; text-style: bold; content-align: center middle; }
     #who { height: 3; padding: 1 2; color: white; text-style: bold; }
     #stage { text-style: bold; }
-    #stage, #request, #control, #health, #notes { padding: 0 1; }
+    #stage, #request, #control, #health, #notes, #change { padding: 0 1; }
     #request { min-height: 2; }
     #force, #progress { height: 1; padding: 0 1; }
     #force Static, #progress Static { width: 30; }
@@ -70,7 +71,7 @@ class TeachingTerminal(App[None]):
     #question Static { padding: 0 1; }
     DataTable { height: 1fr; min-height: 3; }
     Button:focus { text-style: bold reverse; }
-    Button:disabled { color: #a0a4aa; background: #2a2d31; }
+    Button:disabled { text-opacity: 100%; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
         *(Binding(",".join({key, key.lower()}), f"give('{command.name}')", command.label, priority=True)
@@ -101,13 +102,14 @@ class TeachingTerminal(App[None]):
                     with Grid(id="answers"):
                         yield from self._buttons(ANSWERS)
                 yield DataTable(cursor_type="row", zebra_stripes=True)
+                yield Static(id="change", markup=False)
                 yield Static(id="notes", markup=False)
         yield Static(id="health", markup=False)
         yield Static(id="control", markup=False)
 
     def on_mount(self) -> None:
         """Begin to look at the lesson."""
-        self.query_one(DataTable).add_columns("", "what was taught", "trusted", "what it changed")
+        self.query_one(DataTable).add_columns("", "what was taught", "trusted")
         self.set_interval(LOOK_PERIOD, self.look)
         self.look()
 
@@ -117,7 +119,7 @@ class TeachingTerminal(App[None]):
             return
         before, self._view = self._view, self._lesson.view()
         view, lines = self._view, banner(self._view)
-        self._say("who", f"{html.unescape(SYMBOLS[lines.kind])} {lines.who}")
+        self._say("who", f"{SYMBOLS[lines.kind]} {lines.who}")
         self.query_one("#who").styles.background = COLOURS[lines.kind]
         self._say("stage", lines.stage)
         self._say("request", lines.request)
@@ -129,6 +131,8 @@ class TeachingTerminal(App[None]):
         self._show_buttons()
         self._show_question()
         self._show_items()
+        marked = self._marked()
+        self._say("change", f"it {marked.change}" if marked is not None and marked.change else "")
         self._say("notes", "\n".join(view.notes[-2:]))
         sick = worst(view.health)
         self._say("health", f"! {sick.name}: {sick.text}. {sick.remedy}" if sick else "health: all is well")
@@ -159,8 +163,7 @@ class TeachingTerminal(App[None]):
 
     def _button(self, command: Command, *, compact: bool = True) -> Button:
         button = Button(Text(command.label), id=command.name, compact=compact, tooltip=command.hint)
-        button.styles.background = "rgb({},{},{})".format(*command.color)
-        button.styles.color = "white"
+        _colour(button, command)
         return button
 
     def _buttons(self, commands: tuple[Command, ...]) -> Iterator[Button]:
@@ -172,7 +175,10 @@ class TeachingTerminal(App[None]):
             possible |= {MARKED.name}
         for command in (TAKE, *LESSON, *ANSWERS, MARKED):
             may = not self._lesson.in_control if command is TAKE else command.name in possible
-            self.query_one(f"#{command.name}", Button).disabled = not may
+            button = self.query_one(f"#{command.name}", Button)
+            if button.disabled == may:
+                button.disabled = not may
+                _colour(button, command)
 
     def _show_question(self) -> None:
         view = self._view
@@ -192,8 +198,7 @@ class TeachingTerminal(App[None]):
         for number, item in enumerate(self._items, start=1):
             line = partial(Text, style="dim strike" if item.taken_back else "")
             table.add_row(*map(line, (str(number), KIND_WORDS.get(item.kind, "Something"),
-                                      "forgotten" if item.taken_back else f"{100 * item.reliability:.0f} %",
-                                      item.change)))
+                                      "forgotten" if item.taken_back else f"{100 * item.reliability:.0f} %")))
         table.move_cursor(row=min(max(row, 0), len(self._items) - 1))
 
     def _marked(self) -> Taught | None:
@@ -216,3 +221,9 @@ class TeachingTerminal(App[None]):
             bar.update(total=None)
         else:
             bar.update(total=HIGHEST_FORCE if name == "force" else 1.0, progress=value)
+
+
+def _colour(button: Button, command: Command) -> None:
+    """Give a button the page's colours: white on its own, or dark grey on light where it cannot be pressed."""
+    button.styles.color = "#5c6068" if button.disabled else "white"
+    button.styles.background = "#e4e6ea" if button.disabled else "rgb({},{},{})".format(*command.color)
