@@ -95,7 +95,6 @@ def test_any_input_is_forgotten_and_given_back():
     lesson = Lesson(READY)
 
     async def look(app, pilot):
-        app.query_one(DataTable).focus()
         await pilot.press("x", "down", "x")
         lesson.shown = replace(READY, items=(READY.items[0], replace(READY.items[1], taken_back=True)))
         app.look()

@@ -23,7 +23,7 @@ def add_teach_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
 def run_teach(options: argparse.Namespace) -> int:
     """Teach until the person leaves."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
-        raise UserMistake("unifeed teach", expected="a terminal", got="input or output that is none",
+        raise UserMistake("input and output", expected="a terminal", got="a file or a pipe",
                           mend="over SSH: ssh -t robot unifeed teach")
     os.environ.setdefault("ESCDELAY", ESCAPE_MS)  # read when textual is imported
     from unifeed_ros.nodes.terminal import run_terminal

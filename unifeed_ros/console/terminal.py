@@ -15,10 +15,8 @@ from textual.widgets import Button, DataTable, ProgressBar, Static
 from unifeed_ros.console.commands import ANSWERS, COMMANDS, GREY, LESSON, STOP, TAKE, Command
 from unifeed_ros.console.health import worst
 from unifeed_ros.console.state import KIND_WORDS, LessonView, Phase, Taught, allowed, banner, refusal, watching
-from unifeed_ros.console.words import COLOURS, HIGHEST_FORCE
+from unifeed_ros.console.words import COLOURS, HIGHEST_FORCE, SYMBOLS
 
-SYMBOLS = {"robot": "\u25b6", "person": "\u25cf", "nobody": "\u25cb", "stopped": "\u25a0"}
-"""A symbol beside every colour, of those that every terminal's font has."""
 LOOK_PERIOD = 0.1
 """Time between two looks at the lesson [s]."""
 MARKED = Command("marked", "Forget / give back  (X)", ("X",), "Forgets the marked input, or gives it back.", GREY)
@@ -71,7 +69,7 @@ class TeachingTerminal(App[None]):
     #question Static { padding: 0 1; }
     DataTable { height: 1fr; min-height: 3; }
     Button:focus { text-style: bold reverse; }
-    Button:disabled { text-opacity: 100%; }
+    Button:disabled { opacity: 100%; text-opacity: 100%; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
         *(Binding(",".join({key, key.lower()}), f"give('{command.name}')", command.label, priority=True)
@@ -109,7 +107,9 @@ class TeachingTerminal(App[None]):
 
     def on_mount(self) -> None:
         """Begin to look at the lesson."""
-        self.query_one(DataTable).add_columns("", "what was taught", "trusted")
+        table = self.query_one(DataTable)
+        table.add_columns("", "what was taught", "trusted")
+        table.focus()  # the arrow keys mark an input
         self.set_interval(LOOK_PERIOD, self.look)
         self.look()
 
@@ -132,7 +132,7 @@ class TeachingTerminal(App[None]):
         self._show_question()
         self._show_items()
         marked = self._marked()
-        self._say("change", f"it {marked.change}" if marked is not None and marked.change else "")
+        self._say("change", f"what it changed: {marked.change}" if marked is not None and marked.change else "")
         self._say("notes", "\n".join(view.notes[-2:]))
         sick = worst(view.health)
         self._say("health", f"! {sick.name}: {sick.text}. {sick.remedy}" if sick else "health: all is well")
@@ -224,6 +224,6 @@ class TeachingTerminal(App[None]):
 
 
 def _colour(button: Button, command: Command) -> None:
-    """Give a button the page's colours: white on its own, or dark grey on light where it cannot be pressed."""
-    button.styles.color = "#5c6068" if button.disabled else "white"
-    button.styles.background = "#e4e6ea" if button.disabled else "rgb({},{},{})".format(*command.color)
+    """Give a button the page's colours: white on its own, or light grey on dark where it cannot be pressed."""
+    button.styles.color = "#9aa0a8" if button.disabled else "white"
+    button.styles.background = "#22252a" if button.disabled else "rgb({},{},{})".format(*command.color)

@@ -28,7 +28,7 @@ from unifeed_ros.core.modes import Control, TeachingMode
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.types import Trajectory
 from unifeed_ros.nodes.control import ControlClaim
-from unifeed_ros.nodes.conversions import feedback_from_msg, model_from_msg, trajectory_from_msg
+from unifeed_ros.nodes.conversions import feedback_from_msg, model_from_msg, seconds, trajectory_from_msg
 from unifeed_ros.nodes.lesson_client import LessonClient
 from unifeed_ros.nodes.node import DIAGNOSTICS_PREFIX, WARN, UnifeedNode
 from unifeed_ros.nodes.topics import find_topic
@@ -36,7 +36,8 @@ from unifeed_ros.nodes.topics import find_topic
 EXPECTED = ("shared_control", "capture", "reward_learner", "trajectory_optimizer", "session")
 ONLOOKERS = {"console", "terminal"}
 """Nodes that come and go without harm."""
-COUNTED = ("teaching_state", "contact", "lesson_state")
+COUNTED, WALL_CLOCK = ("teaching_state", "contact", "lesson_state"), {"lesson_state"}
+"""Topics whose rates are told, and those of them that do not follow the arm's time."""
 
 
 class LessonNode(UnifeedNode):
@@ -55,7 +56,7 @@ class LessonNode(UnifeedNode):
         self._statuses: dict[str, tuple[float, Any]] = {}
         self._counts = dict.fromkeys(COUNTED, 0)
         self._rates = {topic: (find_topic(topic).rate, find_topic(topic).rate) for topic in COUNTED}
-        self._counted, self._contact_at = time.monotonic(), None
+        self._counted, self._robot_counted, self._contact_at = time.monotonic(), 0.0, None
         self._notes: deque[str] = deque(maxlen=4)
         self._has_model = self._corrected = False
         self._record = TaughtRecord(self._robot)
@@ -208,6 +209,13 @@ class LessonNode(UnifeedNode):
             return None
 
     def _measure_rates(self) -> None:
-        if (elapsed := time.monotonic() - self._counted) >= 2.0:
-            self._rates = {name: (count / elapsed, find_topic(name).rate) for name, count in self._counts.items()}
-            self._counts, self._counted = dict.fromkeys(COUNTED, 0), time.monotonic()
+        """Count what came; rates of the arm's topics are of its own time, which a simulation may let run slowly."""
+        now, robot_now = time.monotonic(), seconds(self._teaching.header.stamp)
+        if (elapsed := now - self._counted) < 2.0:
+            return
+        robot_elapsed = robot_now - self._robot_counted
+        if not 0.0 < robot_elapsed < elapsed:  # a simulation that runs fast, or a clock that began anew
+            robot_elapsed = elapsed
+        self._rates = {name: (count / (elapsed if name in WALL_CLOCK else robot_elapsed), find_topic(name).rate)
+                       for name, count in self._counts.items()}
+        self._counts, self._counted, self._robot_counted = dict.fromkeys(COUNTED, 0), now, robot_now
