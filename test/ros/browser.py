@@ -141,32 +141,57 @@ class Visitor:
         return seen[-1]
 
     def press(self, text):
-        self.wait(lambda: self.can_press(text), f"button {text!r}")
-        self.browser.execute_script("arguments[0].click()", self.button(text))
+        """Press a button as soon as it can be pressed; found and clicked at once, as the page may draw it anew."""
+        script = ("const b = [...document.querySelectorAll('button')].find(b => b.innerText.includes(arguments[0]));"
+                  "if (!b || b.disabled || b.dataset.disabled) return false; b.click(); return true")
+        self.wait(lambda: self.browser.execute_script(script, text), f"button {text!r}")
+
+    def press_until(self, text, happened, what, patience=15.0):
+        """Press a button, and again after a while where nothing came of it."""
+        for _ in range(TRIES):
+            self.press(text)
+            end = time.monotonic() + patience
+            while time.monotonic() < end:
+                if happened():
+                    return
+                time.sleep(0.3)
+            print(f"{what}: pressed {text!r} again", flush=True)
+        self.look("failed")
+        pytest.fail(f"{what} did not happen; the page says {self.request()!r}")
 
     def open_tab(self, text):
         script = "return [...document.querySelectorAll('[role=tab]')].find(b => b.innerText.includes(arguments[0]))"
         self.browser.execute_script(script, text).click()  # with the mouse: tabs can be dragged
 
-    def drag(self, places, aim=0.3, hold=0.3):
-        """Drag from the first place through the others, shape (N, 3) [m], as a mouse does.
+    def grab(self, place):
+        """Press the mouse on a place, shape (3,) [m], and keep it pressed."""
+        actions = self._mouse()
+        self._move(actions, self.project(place))
+        actions.pause(1.0).w3c_actions.pointer_action.pointer_down()
+        actions.pause(0.3)
+        actions.perform()
 
-        aim is how long the mouse rests before it grabs, hold how long before it lets go [s].
-        """
-        from selenium.webdriver.common.action_chains import ActionChains
-
-        pixels = np.rint(self.project(places)).astype(int)
-        actions = ActionChains(self.browser, duration=int(min(60, 1000 * aim)))
-        actions.w3c_actions.pointer_action.move_to_location(*map(int, pixels[0]))
-        if aim > 0.0:
-            actions.pause(aim)
-        actions.w3c_actions.pointer_action.pointer_down()
-        for x, y in pixels[1:]:
-            actions.w3c_actions.pointer_action.move_to_location(int(x), int(y))
+    def drag(self, places, seen):
+        """Move the pressed mouse through places, shape (N, 3) [m], take a picture of that name, and let go."""
+        actions = self._mouse()
+        for pixels in self.project(places):
+            self._move(actions, pixels[None])
             actions.pause(0.05)
-        actions.pause(hold)
+        actions.perform()
+        self.look(seen)
+        actions = self._mouse()
+        actions.pause(0.3)
         actions.w3c_actions.pointer_action.pointer_up()
         actions.perform()
+
+    def _mouse(self):
+        from selenium.webdriver.common.action_chains import ActionChains
+
+        return ActionChains(self.browser, duration=60)
+
+    def _move(self, actions, pixels):
+        x, y = np.rint(pixels[0]).astype(int)
+        actions.w3c_actions.pointer_action.move_to_location(int(x), int(y))
 
     def project(self, places):
         """Find the pixels of places in the first view, shape (N, 3) [m]."""

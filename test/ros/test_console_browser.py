@@ -72,21 +72,19 @@ def test_a_whole_lesson_by_clicks(visitor, start_process, ros_node, spin_until, 
             return
         visitor.wait(lambda: "lead it to the goal" in visitor.request(), "guiding")
         low = np.array([0.35, -0.1, 0.15])
-        way = [tool(), *np.linspace(tool(), low, 12)[1:], *np.linspace(low, scene.goal, 12)[1:]]
-        visitor.drag(way, aim=1.0, hold=1.0)
-        visitor.look("demonstration")
+        visitor.grab(tool())
+        visitor.drag([*np.linspace(tool(), low, 12)[1:], *np.linspace(low, scene.goal, 12)[1:]], "demonstration")
         moved = tool()
         assert np.linalg.norm(moved - scene.start) > 0.2, f"the mouse moved the hand to {moved} only"
         visitor.press("I have finished")
         visitor.wait(lambda: not visitor.can_press("Show a motion"), "the robot learns")
 
     def correct():
+        here = tool()
+        visitor.grab(here)  # a picture as late as this browser's shows a moving hand where it is no more
         visitor.press("Try it")
-        if not visitor.wait_or_stop(running, "running"):
-            return
-        here = robot.tool_pose(np.asarray(teaching.positions))[0]  # it moves: the mouse must not wait
-        visitor.drag([here, *np.linspace(here, [*here[:2], 0.1], 8)[1:]], aim=0.0, hold=0.5)
-        visitor.look("correction")
+        visitor.wait_or_stop(running, "running")
+        visitor.drag(np.linspace(here, [*here[:2], 0.1], 8)[1:], "correction")
 
     def answer():
         visitor.press("Ask me")
@@ -113,8 +111,7 @@ def test_a_whole_lesson_by_clicks(visitor, start_process, ros_node, spin_until, 
     visitor.look("health")
     visitor.open_tab("Teach")
     visitor.wait(lambda: visitor.can_press("Save"), "save")
-    visitor.press("Save")
-    visitor.wait(lambda: visitor.reads("saved "), "saved")
+    visitor.press_until("Save", lambda: visitor.reads("saved ") and visitor.has_done(4), "saved")
     visitor.look("saved")
     visitor.press("STOP")
     visitor.wait(lambda: visitor.words("who").endswith("the arm holds"), "stopped")
