@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import os
+import re
 import shutil
 import time
 from pathlib import Path
@@ -94,6 +95,10 @@ class Visitor:
 
     def reads(self, text):
         return text in self.browser.execute_script("return document.body.innerText")
+
+    def find(self, pattern):
+        """Give what the first group of a pattern matches of all that can be read."""
+        return re.search(pattern, self.browser.execute_script("return document.body.innerText"))[1]
 
     def button(self, text):
         script = "return [...document.querySelectorAll('button')].find(b => b.innerText.includes(arguments[0]))"

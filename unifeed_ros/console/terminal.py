@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import signal
+import threading
 from collections.abc import Iterator
 from functools import partial
 from typing import Any, ClassVar, Protocol
@@ -106,7 +109,10 @@ class TeachingTerminal(App[None]):
         yield Static(id="control", markup=False)
 
     def on_mount(self) -> None:
-        """Begin to look at the lesson."""
+        """Begin to look at the lesson, and leave in order when the connection breaks."""
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGHUP, signal.SIGTERM):
+                asyncio.get_running_loop().add_signal_handler(number, self.exit)
         table = self.query_one(DataTable)
         table.add_columns("", "what was taught", "trusted")
         table.focus()  # the arrow keys mark an input
