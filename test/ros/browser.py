@@ -21,6 +21,9 @@ FLAGS = ("--headless", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsa
          "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1")
 PATIENCE_S = 90.0
 """Longest wait for one thing to happen in the page, where the browser draws without a graphics card [s]."""
+FIND_BUTTON = ("const button = [...document.querySelectorAll('button')].find(b => b.getClientRects().length > 0 && "
+               "b.innerText.replace(/\\s+/g, ' ').includes(arguments[0])); ")
+"""Only what is visible: the page of viser has hidden buttons of its own, among them one to save the picture."""
 TRIES = 5
 """How often a step of the lesson is tried."""
 STOPS = 6
@@ -101,8 +104,7 @@ class Visitor:
         return re.search(pattern, self.browser.execute_script("return document.body.innerText"))[1]
 
     def button(self, text):
-        script = "return [...document.querySelectorAll('button')].find(b => b.innerText.includes(arguments[0]))"
-        return self.browser.execute_script(script, text)
+        return self.browser.execute_script(FIND_BUTTON + "return button", text)
 
     def can_press(self, text):
         button = self.button(text)
@@ -147,22 +149,9 @@ class Visitor:
 
     def press(self, text):
         """Press a button as soon as it can be pressed; found and clicked at once, as the page may draw it anew."""
-        script = ("const b = [...document.querySelectorAll('button')].find(b => b.innerText.includes(arguments[0]));"
-                  "if (!b || b.disabled || b.dataset.disabled) return false; b.click(); return true")
+        script = (FIND_BUTTON + "if (!button || button.disabled || button.dataset.disabled) return false; "
+                  "button.click(); return true")
         self.wait(lambda: self.browser.execute_script(script, text), f"button {text!r}")
-
-    def press_until(self, text, happened, what, patience=15.0):
-        """Press a button, and again after a while where nothing came of it."""
-        for _ in range(TRIES):
-            self.press(text)
-            end = time.monotonic() + patience
-            while time.monotonic() < end:
-                if happened():
-                    return
-                time.sleep(0.3)
-            print(f"{what}: pressed {text!r} again", flush=True)
-        self.look("failed")
-        pytest.fail(f"{what} did not happen; the page says {self.request()!r}")
 
     def open_tab(self, text):
         script = "return [...document.querySelectorAll('[role=tab]')].find(b => b.innerText.includes(arguments[0]))"

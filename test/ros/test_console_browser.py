@@ -110,8 +110,9 @@ def test_a_whole_lesson_by_clicks(visitor, start_process, ros_node, spin_until, 
     visitor.open_tab("Health")
     visitor.look("health")
     visitor.open_tab("Teach")
-    visitor.wait(lambda: visitor.can_press("Save"), "save")
-    visitor.press_until("Save", lambda: visitor.reads("saved ") and visitor.has_done(4), "saved")
+    visitor.wait(lambda: visitor.can_press("Save (S)"), "save")
+    visitor.press("Save (S)")
+    visitor.wait(lambda: visitor.reads("saved ") and visitor.has_done(4), "saved")
     visitor.look("saved")
     saved = Path(visitor.find(r"saved (\S+\.safetensors)"))
     assert saved.stat().st_size > 1000
