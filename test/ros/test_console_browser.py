@@ -125,7 +125,8 @@ def test_a_whole_lesson_by_clicks(visitor, start_process, ros_node, spin_until, 
 
 def check_hosts(browser):
     """Everything that the page fetched, or tried to, was on this machine."""
-    addresses = browser.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
+    script = "return performance.getEntries().filter(e => ['navigation', 'resource'].includes(e.entryType))"
+    addresses = browser.execute_script(script + ".map(e => e.name)")
     hosts = {urlsplit(address).hostname for address in addresses if address.startswith(("http", "ws"))}
     assert len(addresses) < 250, "the browser keeps no more than 250"
     assert hosts == {"127.0.0.1"}
