@@ -56,16 +56,15 @@ def test_the_token_opens_and_the_cookie_keeps_open():
 
 def test_the_first_page_has_control_until_it_closes_or_another_takes_it():
     pages = Holder()
-    assert not pages.may(None, "run")
+    assert not pages.may(None)
     pages.open(1)
     pages.open(2)
-    assert pages.may(1, "run") and not pages.may(2, "run")
-    assert pages.may(2, "stop") and pages.may(2, "pause")
+    assert pages.may(1) and not pages.may(2)
     pages.take(2)
-    assert pages.may(2, "run") and not pages.may(1, "run")
+    assert pages.may(2) and not pages.may(1)
     pages.take(7)
     assert pages.holder == 2
     pages.close(2)
     assert pages.holder == 1
     pages.close(1)
-    assert pages.holder is None and not pages.may(1, "run")
+    assert pages.holder is None and not pages.may(1)

@@ -13,21 +13,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 import viser
 import websockets
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import Trigger
 
 sys.path.insert(0, str(Path(__file__).parent))
-from page_client import PageClient
 from session_helpers import session_files, start_session
 
 from unifeed_msgs.msg import LessonState, TeachingState
 from unifeed_msgs.srv import ListFeedback
-from unifeed_ros.console.state import KINDS, Phase
+from unifeed_ros.cli.page_client import PageClient
+from unifeed_ros.console.state import KINDS, Phase, allowed
+from unifeed_ros.console.terminal import TeachingTerminal
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
+from unifeed_ros.nodes.terminal import TerminalNode, parameters_of_session
 from unifeed_ros.nodes.topics import publisher_qos, subscriber_qos
 from unifeed_ros.resources import config_path
 
@@ -134,7 +138,7 @@ def test_a_person_teaches_from_one_page_while_another_watches(start_node, ros_no
     assert not wrenches  # the hand is open until somebody pulls
 
     second.press("Show a motion")  # a page that watches gives no command, whatever it sends
-    session.wait(lambda: any("Another page has control" in note for note in second.notes))
+    session.wait(lambda: any("another page has control" in note for note in second.notes))
     assert session.lesson.phase == LessonState.READY
     first.press("I have finished")  # nor does one in control, at the wrong time
     session.wait(lambda: any("Not now" in note for note in first.notes))
@@ -153,7 +157,7 @@ def test_a_person_teaches_from_one_page_while_another_watches(start_node, ros_no
     assert len(wrenches) > 20 and wrenches[-1].wrench.force.x == 0.0, processes["console"].output  # the mouse let go
     assert max(np.hypot(w.wrench.force.x, w.wrench.force.y) for w in wrenches) > 5.0
     moved = robot.tool_pose(np.asarray(session.teaching.positions))[0]
-    assert np.linalg.norm(moved - tool) > 0.2 and first.moves > 30, (session.teaching.message, session.lesson.message)
+    assert np.linalg.norm(moved - tool) > 0.2 and len(first.places) > 30, session.teaching.message
     first.press("I have finished")
     session.wait(lambda: session.lesson.phase == LessonState.SHOWING)
     session.wait(lambda: "You showed a motion" in first.text() and "You showed a motion" in second.text())
@@ -171,12 +175,63 @@ def test_a_person_teaches_from_one_page_while_another_watches(start_node, ros_no
     second.press("Give it back")
     session.wait(lambda: call(ListFeedback, "list_feedback").ids == ["demonstration-1"])
 
+    asyncio.run(teach_from_a_terminal(ros_node.context, session, second))
+    session.wait(lambda: "You teach from this page" in second.text())  # the terminal died in control, without a word
+
     here = np.asarray(session.teaching.positions)
     processes["console"].send(signal.SIGKILL)
     session.spin(1.0)
     assert session.lesson.phase == LessonState.READY
     assert np.abs(np.asarray(session.teaching.positions) - here).max() < 0.05
     assert call(Trigger, "start_demonstration").success and call(Trigger, "pause").success
+
+
+async def teach_from_a_terminal(context, session, page):
+    """Take control from a page, teach with keys, and leave like a connection that broke."""
+    asking, executor = rclpy.create_node("asks", context=context), SingleThreadedExecutor(context=context)
+    executor.add_node(asking)
+    node = TerminalNode(parameters_of_session(asking, executor), context=context)
+    executor.add_node(node)
+    ended = threading.Event()
+    thread = threading.Thread(target=lambda: [executor.spin_once(0.05) for _ in iter(ended.is_set, True)])
+    thread.start()
+    app = TeachingTerminal(node)
+    async with app.run_test(size=(100, 30)) as pilot:
+        async def wait(happened):
+            end = time.monotonic() + 60.0
+            while not happened():
+                assert time.monotonic() < end, (app.export_screenshot(), node.view())
+                session.spin(0.05)
+                await pilot.pause(0.05)
+
+        def control():
+            return str(app.query_one("#control").content)
+
+        await wait(lambda: "a page (console" in control() and node.view().phase is Phase.READY)
+        await wait(lambda: app.query_one("DataTable").row_count == 1)
+        await pilot.press("d")  # it only watches
+        await pilot.press("c")
+        await wait(lambda: control() == "You teach from this terminal.")
+        await wait(lambda: "You are watching: a terminal on" in page.text())
+        assert session.lesson.phase == LessonState.READY
+        page.press("Show a motion")
+        await wait(lambda: any("a terminal on" in note for note in page.notes))
+        assert session.lesson.phase == LessonState.READY
+        await pilot.press("d")
+        await wait(lambda: session.lesson.phase == LessonState.DEMONSTRATING)
+        await pilot.press("escape")
+        await wait(lambda: session.teaching.mode == TeachingState.STOPPED)
+        await wait(lambda: node.view().phase is Phase.FAULT)
+        await pilot.press("r")
+        await wait(lambda: session.lesson.phase == LessonState.READY and "undo" in allowed(node.view()))
+        await pilot.press("u")
+        await wait(lambda: node.view().items[0].taken_back and "forgotten" in map(
+            str, app.query_one("DataTable").get_row_at(0)))
+    ended.set()
+    thread.join()
+    executor.shutdown()
+    node.destroy_node()
+    asking.destroy_node()
 
 
 def check_this_machine_only(address):

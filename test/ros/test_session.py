@@ -26,7 +26,7 @@ from unifeed_ros.nodes.topics import TOPICS, publisher_qos, subscriber_qos
 
 STARTUP_S = 60.0
 """Longest time in which the nodes of a session find each other on a busy machine [s]."""
-OUTSIDE = ("sim_teacher", "console")
+OUTSIDE = ("sim_teacher", "console", "terminal")
 """Nodes that these sessions run without."""
 
 

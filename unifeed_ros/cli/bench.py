@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 BENCHMARKS = ("capture", "reward", "planner", "context", "lesson", "reliability", "queries", "loop", "faults",
-              "recording")
+              "recording", "console")
 """Each has a module unifeed_ros.cli.bench_<name> with a function run(options), loaded only when it is asked for."""
 
 
@@ -26,6 +26,8 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
                        ("loop", "the control loop under load, beside a bare pair that only echoes"),
                        ("faults", "every fault tried against the running nodes: how soon the arm stops, what is said"),
                        ("recording", "what the recorder loses, costs and withstands, beside mcap_ros2's writer"),
+                       ("console", "the teaching page: pose lag, updates, clicks, processor time, with a page open and "
+                                   "without"),
                        ("all", "all of them, each with its defaults")):
         added[name] = names.add_parser(name, help=text, description=text)
         added[name].add_argument("--json", action="store_true", help="print JSON")
@@ -40,6 +42,7 @@ def add_bench_command(commands: argparse._SubParsersAction[argparse.ArgumentPars
     _add_loop_options(added["loop"])
     _add_fault_options(added["faults"])
     _add_recording_options(added["recording"])
+    added["console"].add_argument("--presses", type=int, default=30, help="presses of STOP (default: 30)")
     added["all"].set_defaults(parser=parser)
 
 

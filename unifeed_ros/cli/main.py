@@ -24,6 +24,7 @@ def build_parser() -> argparse.ArgumentParser:
     from unifeed_ros.cli.experiment import add_experiment_command
     from unifeed_ros.cli.learn import add_learn_command
     from unifeed_ros.cli.replay import add_replay_command
+    from unifeed_ros.cli.teach import add_teach_command
     from unifeed_ros.cli.up import add_up_command
 
     parser = argparse.ArgumentParser(prog="unifeed", description="Teach a robot arm by touch.")
@@ -31,6 +32,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     add_demo_command(commands)
     add_up_command(commands)
+    add_teach_command(commands)
     add_learn_command(commands)
     add_replay_command(commands)
     add_bag_commands(commands)

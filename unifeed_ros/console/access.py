@@ -17,7 +17,6 @@ import websockets.asyncio.server
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from unifeed_ros.console.commands import ALWAYS
 from unifeed_ros.core.errors import ConfigError
 
 COOKIE = "unifeed_token"
@@ -141,7 +140,10 @@ def guarded(gate: Gate) -> Iterator[None]:
 
 
 class Holder:
-    """Which of the open pages gives commands: the first one, until it closes or hands control over."""
+    """Which of the open pages gives commands: the first one, until it closes or hands control over.
+
+    All pages of one console are one party of the lesson's control (console/lease.py); this divides it among them.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -173,6 +175,6 @@ class Holder:
             if page in self._pages:
                 self._holder = page
 
-    def may(self, page: int | None, command: str) -> bool:
-        """Say whether a page may give a command; what ends motion is never refused."""
-        return command in ALWAYS or (page is not None and page == self._holder)
+    def may(self, page: int | None) -> bool:
+        """Say whether a page is the one that gives commands."""
+        return page is not None and page == self._holder

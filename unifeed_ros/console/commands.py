@@ -25,6 +25,8 @@ BLUE, GREEN, GREY, RED, ORANGE = (0, 82, 156), (0, 107, 70), (82, 88, 96), (178,
 
 STOP = Command("stop", "STOP  (Esc)", ("escape", "pageup"), "Stops the arm at once.", RED)
 
+TAKE = Command("take_control", "Take control  (C)", ("C",), "Gives the commands from here; others watch.", ORANGE)
+
 LESSON = (
     Command("start_demonstration", "Show a motion  (D)", ("D",), "The arm becomes weightless: lead it to the goal.",
             BLUE),
@@ -55,6 +57,6 @@ RANKS: dict[str, tuple[int, ...]] = {
 """Ranks of the two options that each answer stands for."""
 
 ALWAYS = frozenset({"stop", "pause"})
-"""Commands that every page may give, also one that only watches: they end motion and start none."""
+"""Commands that everybody may give, also who only watches: they end motion and start none."""
 
-COMMANDS = {command.name: command for command in (STOP, *LESSON, *ANSWERS)}
+COMMANDS = {command.name: command for command in (STOP, TAKE, *LESSON, *ANSWERS)}

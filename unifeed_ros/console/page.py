@@ -9,12 +9,12 @@ import viser
 from viser._messages import ShareUrlDisconnect, ShareUrlRequest
 
 from unifeed_ros.console.access import Gate, Holder, choose_token, guarded, is_loopback
-from unifeed_ros.console.commands import COMMANDS
-from unifeed_ros.console.drawing import grid_states, reward_colours
+from unifeed_ros.console.commands import COMMANDS, TAKE
+from unifeed_ros.console.drawing import as_text, grid_states, reward_colours
 from unifeed_ros.console.motions import DrawnMotion, rewards_along
 from unifeed_ros.console.panel import IN_TURN, NO_PAST, STILL, LessonPanel, Look
 from unifeed_ros.console.scene import SLICE_HIGH, SLICE_LOW, LessonScene
-from unifeed_ros.console.state import LessonView, Phase, allowed
+from unifeed_ros.console.state import LessonView, Phase, refusal, watching
 from unifeed_ros.core.modes import Control
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.robot import RobotModel
@@ -38,6 +38,13 @@ class Teacher(Protocol):
 
     def pull(self, target: Array | None) -> None:
         """Pull the arm's hand towards a place, shape (3,) [m]; None lets go."""
+
+    @property
+    def in_control(self) -> bool:
+        """True while the pages have control of the lesson, and no terminal."""
+
+    def take_control(self) -> None:
+        """Take control of the lesson for the pages."""
 
 
 class TeachingPage:
@@ -67,6 +74,7 @@ class TeachingPage:
         self._host = host
         self._holder, self._view = Holder(), LessonView()
         self._puller: int | None = None
+        self._control: tuple[bool, str] = (False, "")
         self._pages: dict[int, tuple[viser.GuiHtmlHandle, viser.GuiButtonHandle]] = {}
         self._plan: DrawnMotion | None = None
         self._before: DrawnMotion | None = None
@@ -106,6 +114,14 @@ class TeachingPage:
         if view.phase is not Phase.ASKING and self._options:
             self.show_options({})
         self._draw_look(self._panel.look)
+
+    def show_control(self, held: bool, other: str) -> None:
+        """Say whether the pages have control of the lesson, and which terminal has it otherwise (empty: none)."""
+        if (held, other) != self._control:
+            self._control = (held, other)
+            if not held:
+                self._let_go_of(self._puller)
+            self._show_holder()
 
     def move_arm(self, positions: Array) -> None:
         """Show the arm's posture, shape (n,) [rad]."""
@@ -159,15 +175,23 @@ class TeachingPage:
     def _on_press(self, command: str, item: str, page: int | None) -> None:
         if command not in COMMANDS:
             return
-        if not self._holder.may(page, command):
-            self._tell_one(page, 'Another page has control. Press "Take control" to teach from here.')
-        elif command not in allowed(self._view) and command not in ("stop", "pause"):
-            self._tell_one(page, f"Not now: {COMMANDS[command].hint}")
+        if command == TAKE.name:
+            self._take(page)
+        elif reason := refusal(self._view, command, self._whoever(),
+                               in_control=self._holder.may(page) and self._teacher.in_control):
+            self._tell_one(page, reason)
         else:
             self._teacher.press(command, item)
 
+    def _take(self, page: int | None) -> None:
+        if page is not None:
+            self._let_go_of(self._holder.holder)
+            self._holder.take(page)
+            self._teacher.take_control()
+            self._show_holder()
+
     def _on_pull(self, phase: str, page: int, target: Array | None) -> None:
-        if phase == "start" and self._holder.may(page, "pull"):
+        if phase == "start" and self._holder.may(page) and self._teacher.in_control:
             self._puller = page
         if page == self._puller:
             self._teacher.pull(target if target is not None and np.isfinite(target).all() else None)
@@ -177,13 +201,11 @@ class TeachingPage:
     async def _on_open(self, client: viser.ClientHandle) -> None:
         self._holder.open(client.client_id)
         line = client.gui.add_html("", order=-2.0)
-        take = client.gui.add_button("Take control", color=(138, 75, 0), order=-1.0)
+        take = client.gui.add_button(TAKE.label, color=TAKE.color, hint=TAKE.hint, order=-1.0)
 
         @take.on_click
         async def _(_: viser.GuiEvent) -> None:
-            self._let_go_of(self._holder.holder)
-            self._holder.take(client.client_id)
-            self._show_holder()
+            self._take(client.client_id)
 
         self._pages[client.client_id] = (line, take)
         self._show_holder()
@@ -200,10 +222,15 @@ class TeachingPage:
             self._puller = None
             self._teacher.pull(None)
 
+    def _whoever(self) -> str:
+        """Name who has control, for a page that has not; as plain text."""
+        held, other = self._control
+        return "another page" if held else other
+
     def _show_holder(self) -> None:
         for page, (line, take) in list(self._pages.items()):
-            holds = page == self._holder.holder
-            words = "You teach from this page." if holds else "You are watching: another page teaches."
+            holds = page == self._holder.holder and self._control[0]
+            words = "You teach from this page." if holds else watching(as_text(self._whoever()))
             line.content = f'<div style="padding:4px 12px;font-family:sans-serif;font-size:14px">{words}</div>'
             take.visible = not holds
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import viser
 
-from unifeed_ros.console.commands import ANSWERS, LESSON, STOP, Command
+from unifeed_ros.console.commands import ANSWERS, LESSON, STOP, TAKE, Command
 from unifeed_ros.console.drawing import scale_legend
 from unifeed_ros.console.state import LessonView, Phase, Taught, allowed
 from unifeed_ros.console.words import (
@@ -69,6 +69,7 @@ class LessonPanel:
         panel = self._gui.add_panel()
         with panel.add_tab("Lesson", viser.Icon.ROBOT):
             self._add_button(STOP)
+            self._add_keys(TAKE)  # its button is not the same on every page
             self._banner = self._gui.add_html(STYLE)
         panel.float(x=12, y=-12, width=430)  # notes come at the top: they must not cover the stop button
 
@@ -182,6 +183,9 @@ class LessonPanel:
         async def _(event: viser.GuiEvent) -> None:
             self._press(command.name, "", event.client_id)
 
+        self._add_keys(command)
+
+    def _add_keys(self, command: Command) -> None:
         for key in command.keys:
             shortcut = self._gui.add_command(f"{command.label} [{key}]", description=command.hint, hotkey=key)
 

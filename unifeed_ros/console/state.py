@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+from unifeed_ros.console.commands import ALWAYS, COMMANDS
 from unifeed_ros.core.modes import Control, TeachingMode
 from unifeed_ros.core.types import Array
 
@@ -105,6 +106,8 @@ class LessonView:
     corrected: bool = False
     """True once a correction was completed."""
     health: tuple[HealthLine, ...] = ()
+    drawn: bool = True
+    """True where the motions are drawn beside the words."""
     simulated: bool = False
     """True if the page may pull the arm's hand."""
     taught_by_machine: bool = False
@@ -170,7 +173,8 @@ def _request(view: LessonView) -> str:
     if view.phase is Phase.ASKING:
         if view.question is not None and view.question.answered:
             return "Thank you. Learning from your answer."
-        return "Which of the two motions is better? Blue is A, orange is B."
+        names = "Blue is A, orange is B." if view.drawn else "A was the first one, B the second."
+        return f"Which of the two motions is better? {names}"
     if view.phase is Phase.PAUSED:
         return 'Paused. Press "Try it" to go on, or "Back to start".'
     if view.phase is Phase.FAULT:
@@ -249,3 +253,24 @@ def allowed(view: LessonView) -> frozenset[str]:
     if view.phase is Phase.ASKING and view.question is not None and not view.question.answered:
         names |= {"answer_a", "answer_b", "answer_equal", "answer_neither"}
     return frozenset(names)
+
+
+def refusal(view: LessonView, command: str, holder: str, *, in_control: bool) -> str:
+    """Say why a command is not carried out; empty if it is. What ends motion is never refused.
+
+    Args:
+        view: What is known.
+        command: Name of the command.
+        holder: Who has control if not this one; empty: nobody.
+        in_control: True if the command comes from the one in control.
+    """
+    if command in ALWAYS:
+        return ""
+    if not in_control:
+        return f'{watching(holder)} Press "Take control" to teach from here.'
+    return "" if command in allowed(view) else f"Not now: {COMMANDS[command].hint}"
+
+
+def watching(holder: str) -> str:
+    """Say what one does who has no control; holder is who has it, empty for nobody."""
+    return f"You are watching: {holder} has control." if holder else "You are watching: nobody has control yet."

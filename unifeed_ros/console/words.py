@@ -13,8 +13,8 @@ from unifeed_ros.console.health import worst
 from unifeed_ros.console.state import KIND_WORDS, HealthLine, LessonView, Phase, Taught, banner, steps
 
 COLOURS = {"robot": "#00529c", "person": "#8a4b00", "nobody": "#3c4048", "stopped": "#b20018"}
-SYMBOLS = {"robot": "&#9881;", "person": "&#9995;", "nobody": "&#9711;", "stopped": "&#9632;"}
-"""A symbol beside every colour: colour alone never says it."""
+SYMBOLS = {"robot": "\u25b6", "person": "\u25cf", "nobody": "\u25cb", "stopped": "\u25a0"}
+"""A symbol beside every colour, as colour alone never says it; of those that fonts without emoji have too."""
 HIGHEST_FORCE = 40.0
 """Force that fills the bar [N]."""
 LEVELS = {0: ("#006b46", "&#10003;", "well"), 1: ("#7a5600", "!", "look"), 2: ("#b20018", "&#10007;", "broken")}

@@ -29,9 +29,9 @@ DIAGNOSTICS_PREFIX = "unifeed: "
 class UnifeedNode(Node):
     """A node that finds its topics in the project's table and says once a second how it is."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, **options: Any) -> None:
         """Create the node and its 1 Hz status."""
-        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._status = DiagnosticStatus(level=OK, name=DIAGNOSTICS_PREFIX + name, message="starting")
         self._diagnostics = self.advertise("diagnostics")

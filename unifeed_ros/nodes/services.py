@@ -55,6 +55,8 @@ SERVICES: tuple[Service, ...] = (
     Service("ask", TRIGGER, "session", "Shows two motions and asks which one was better."),
     Service("save", TRIGGER, "session", "Writes the learned reward to a file and answers with its path."),
     Service("reset", TRIGGER, "session", "Goes back to the start, also after a fault; what was taught is kept."),
+    Service("take_control", "unifeed_msgs/srv/TakeControl", "session",
+            "Changes nothing; the answer says which page or terminal has control."),
     Service("split", TRIGGER, "recorder", "Ends the present file of the bag and goes on in the next one."),
     Service("mark", "unifeed_msgs/srv/Mark", "recorder", 'Writes the mark "mark" into the recording.'),
 )

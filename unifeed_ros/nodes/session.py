@@ -25,6 +25,7 @@ from unifeed_msgs.srv import SelectQuery, SetMode, TrainReward
 from unifeed_ros.core.control.silence import Silence
 from unifeed_ros.core.errors import ConfigError, UnifeedError
 from unifeed_ros.core.reward.storage import save_model
+from unifeed_ros.nodes.control import ControlDesk
 from unifeed_ros.nodes.conversions import context_to_msg, model_from_msg
 from unifeed_ros.nodes.lifecycle import Activator
 from unifeed_ros.nodes.node import DIAGNOSTICS_PREFIX, ERROR, OK, UnifeedNode
@@ -117,6 +118,7 @@ class SessionNode(UnifeedNode):
                             "run": self._on_run, "pause": self._on_pause, "ask": self._on_ask, "save": self._on_save,
                             "reset": self._on_reset}.items():
             self.create_service(Trigger, name, serve)
+        ControlDesk(self)
         self.create_timer(STATE_PERIOD, self._tick, clock=self.steady)
 
     # Callbacks: store, check, queue.

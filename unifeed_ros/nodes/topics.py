@@ -35,7 +35,7 @@ class Topic:
     """Nodes that publish it."""
 
     readers: tuple[str, ...]
-    """Nodes that subscribe to it, besides the recorder and the console, which read every topic."""
+    """Nodes that subscribe to it, besides the recorder, the console and the terminal, which read every topic."""
 
     def __post_init__(self) -> None:
         """Reject a quality of service that is not in the table."""
@@ -52,7 +52,7 @@ class Topic:
 JOINT_STATE, TRAJECTORY = "sensor_msgs/msg/JointState", "trajectory_msgs/msg/JointTrajectory"
 
 ALL_NODES = ("sim_arm", "sim_teacher", "capture", "reward_learner", "trajectory_optimizer", "shared_control", "session",
-             "recorder", "console")
+             "recorder", "console", "terminal")
 
 TOPICS: tuple[Topic, ...] = (
     Topic("joint_states", JOINT_STATE, SENSOR, 1000.0, ("sim_arm",), ("sim_teacher", "capture", "shared_control")),
@@ -78,7 +78,7 @@ TOPICS: tuple[Topic, ...] = (
         "unifeed_msgs/msg/Feedback",
         EVENT,
         0.0,
-        ("capture", "reward_learner", "console"),
+        ("capture", "reward_learner", "console", "terminal"),
         ("reward_learner", "session"),
     ),
     Topic(
@@ -95,6 +95,7 @@ TOPICS: tuple[Topic, ...] = (
         "lesson_state", "unifeed_msgs/msg/LessonState", STREAM, 10.0, ("session",), ("sim_teacher", "shared_control")
     ),
     Topic("interaction", "unifeed_msgs/msg/Interaction", EVENT, 0.0, ("session",), ()),
+    Topic("control_holder", "std_msgs/msg/String", LATCHED, 0.0, ("session",), ()),
     Topic("/clock", "rosgraph_msgs/msg/Clock", STREAM, 100.0, ("sim_arm",), ()),
     Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", STREAM, 1.0, ALL_NODES, ("session",)),
 )
