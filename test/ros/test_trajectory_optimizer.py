@@ -35,16 +35,18 @@ def files():
 
 @pytest.fixture
 def plan(start_node, ros_node, spin_until, files):
-    """Start the node; plan(cancel=False, **request) gives the result and its status."""
+    """Start the node; plan(cancel=0, **request) gives the result and its status, canceled after so many iterations."""
     start_node("trajectory_optimizer", parameter_files=files)
     client = ActionClient(ros_node, OptimizeTrajectory, "optimize_trajectory")
     spin_until(client.server_is_ready, 60.0)
 
-    def act(*, cancel=False, **request):
-        sent = client.send_goal_async(OptimizeTrajectory.Goal(**request))
+    def act(*, cancel=0, **request):
+        seen = []
+        sent = client.send_goal_async(OptimizeTrajectory.Goal(**request), lambda said: seen.append(said.feedback))
         spin_until(sent.done, 60.0)
         answer = sent.result().get_result_async()
         if cancel:
+            spin_until(lambda: answer.done() or len(seen) >= cancel, 60.0)
             sent.result().cancel_goal_async()
         spin_until(answer.done, 60.0)
         return answer.result().result, answer.result().status
@@ -157,7 +159,13 @@ def test_a_model_that_does_not_fit_is_refused_and_kappa_counts(plan, files, ros_
     assert doubt(model, files, wary.trajectory) < doubt(model, files, mean.trajectory)
 
 
-def test_a_cancel_ends_the_search(plan):
-    result, status = plan(cancel=True, waypoints=200)
-    assert (status, result.status) == (CANCELED, "canceled") and not result.trajectory.points
-    assert plan()[1] == SUCCEEDED
+def test_a_cancel_ends_the_search_where_it_stands(plan, files, ros_node, spin_until):
+    models = ros_node.create_publisher(RewardModel, "reward_model", publisher_qos("reward_model"))
+    models.publish(model_to_msg(some_model(files), 1.0))
+    spin_until(lambda: plan()[0].model_version == 7, 20.0)
+    result, status = plan(cancel=1, waypoints=200)
+    assert (status, result.status) == (CANCELED, "canceled") and not result.success
+    assert result.iterations >= 1 and np.isfinite(result.objective)
+    assert not result.trajectory.points, "what was not searched to its end is not to be carried out"
+    whole, status = plan(waypoints=200)
+    assert status == SUCCEEDED and whole.iterations > result.iterations and whole.objective >= result.objective
