@@ -42,7 +42,7 @@ ROOMY, TIGHT = (replace(SCENE, workspace=tuple(np.array(SCENE.workspace) + np.re
 1 cm less, for the one plan in a thousand that otherwise leaves it by more between two way-points."""
 PLANNER = PlannerConfig(waypoints=WAYPOINTS, time_budget=60.0, whole_arm=False, tolerance=1e-3)
 """For all methods alike; it ends a quarter sooner than with the default tolerance, within 0.1 % of the return."""
-OPTIMUM = replace(PLANNER, starts=6, smoothness=0.1 * PLANNER.smoothness, tolerance=2e-4)
+OPTIMUM = replace(PLANNER, starts=6, halving=0, smoothness=0.1 * PLANNER.smoothness, tolerance=2e-4)
 """For a person's optimum: more starts, and the arm's limits rather than taste decide how fast it is."""
 PERSON = PersonConfig()
 """Pace and smooth error of a demonstration, as of the people of lessons."""
@@ -190,7 +190,7 @@ def plan(robot: RobotModel, reward: StateReward, like: Sequence[Trajectory] = ()
     """
     start, seeds = start_posture(robot), [motion.resampled(WAYPOINTS) for motion in like]
     allowed = motion_bounds(robot, ROOMY, start, None, PLANNER)
-    many = replace(config, starts=OPTIMUM.starts, seed=1)
+    many = replace(config, starts=OPTIMUM.starts, halving=0, seed=1)
     for scene, settings, given in ((SCENE, config, seeds), (SCENE, many, ()), (TIGHT, config, seeds)):
         found = plan_motion(robot, reward, start, None, duration=DURATION, scene=scene, config=settings, seeds=given)
         if found.success or check_motion(found.trajectory, allowed).ok:

@@ -221,7 +221,7 @@ def measure(robot: RobotModel, task: TrueTask, config: PlannerConfig | None = No
     config = config or PlannerConfig()
     scene = task.scene
     start, goal = endpoints(robot, scene)
-    many = replace(config, starts=starts, smoothness=config.smoothness * 0.1, time_budget=60.0)
+    many = replace(config, starts=starts, halving=0, smoothness=config.smoothness * 0.1, time_budget=60.0)
     plan = plan_motion(robot, task, start, goal, duration=scene.duration, scene=scene, config=many)
     if not plan.success:
         raise PlanningError(f"no motion for task {task.name} on {robot.config.name}", got=plan.message)
