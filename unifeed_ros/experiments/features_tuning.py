@@ -20,14 +20,17 @@ PEOPLE = range(1000, 1003)
 """Numbers of the people that methods are tuned on; those of the results begin at 0."""
 LAST = 5
 """Interactions at the end over which regret is averaged."""
-TUNED_ON = {"Coactive": ("all known",), "FERL": ("one missing",)}
-"""Sets of features that each method is tuned on, those that it was made for. Ours is as sessions use it."""
+TUNED_ON = {"Coactive": ("all known",), "FERL": ("one missing",), "Ours": ("all known", "one missing")}
+"""Sets of features that each method is tuned on, those that it was made for; ours where its penalty matters."""
+PENALTIES = (0.01, 0.03, 0.1)
+"""Residual penalties of ours that are tried; sessions have the first."""
 
 
 def candidates(method: str) -> Iterator[tuple[str, MethodSettings]]:
     """Give what is tried.
 
-    Only the ratio of Coactive's gain and cap matters: weights of both scaled alike plan alike.
+    Only the ratio of Coactive's gain and cap matters: weights of both scaled alike plan alike. Of ours is tried how
+    much the networks may explain beside the known features.
 
     Args:
         method: Name of the method.
@@ -36,6 +39,10 @@ def candidates(method: str) -> Iterator[tuple[str, MethodSettings]]:
         What it is called, and the settings.
     """
     base = MethodSettings()
+    if method == "Ours":
+        for penalty in PENALTIES:
+            yield f"residual penalty {penalty}", replace(base, ours=replace(base.ours, residual_penalty=penalty))
+        return
     gains = (0.1, 0.3, 1.0, 3.0) if method == "Coactive" else (0.1, 1.0)
     for gain, update, reading in itertools.product(gains, ("all", "max"), ("motion", "push")):
         coactive = replace(base.coactive, gain=gain, update=update, reading=reading)
