@@ -18,10 +18,6 @@ NODES_GRACE_S = 1.6
 """Time that all nodes but the recorder have to end [s]."""
 RECORDER_GRACE_S = 1.2
 """Time that the recorder has to end after the others [s]."""
-ORPHANS_GRACE_S = 4.0
-"""Time that nodes have to end by themselves when the command is killed [s]."""
-GUARD = 'cat; sleep "$1"; shift; for node; do kill -s KILL -- "-$node"; done'
-"""What the guard does: it waits until the command that holds its input is gone, then kills the nodes that are left."""
 
 
 class NodeProcesses:
@@ -35,7 +31,6 @@ class NodeProcesses:
     def __init__(self, specs: Sequence[NodeSpec], logs: Path) -> None:
         self._specs, self._logs = specs, logs
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
-        self._guard: subprocess.Popen[bytes] | None = None
         self._console_told = ""
 
     def __enter__(self) -> NodeProcesses:
@@ -44,7 +39,6 @@ class NodeProcesses:
         try:
             for spec in self._specs:
                 self._start(spec)
-            self._guard_nodes()
         except BaseException:
             self.stop()
             raise
@@ -100,29 +94,11 @@ class NodeProcesses:
     def start_again(self, name: str) -> None:
         """Start a node that has ended."""
         self._start(next(spec for spec in self._specs if spec.executable == name))
-        self._guard_nodes()
 
     def stop(self) -> None:
         """Ask all nodes to end, the recorder last so that it has their last words, then kill what is left."""
         self._end([n for n in self._processes if n != RECORDER], NODES_GRACE_S)
         self._end([RECORDER] if RECORDER in self._processes else [], RECORDER_GRACE_S)
-        self._dismiss_guard()
-
-    def _guard_nodes(self) -> None:
-        """Leave a process that ends the nodes if this one is killed.
-
-        Linux asks them to end then, but a node may be stuck: who is killed while it holds a lock of the shared memory
-        that it talks to others through, keeps them waiting for ever.
-        """
-        self._dismiss_guard()
-        self._guard = subprocess.Popen(["/bin/sh", "-c", GUARD, "guard", str(ORPHANS_GRACE_S), *map(str, self.pids)],
-                                       stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                                       start_new_session=True)
-
-    def _dismiss_guard(self) -> None:
-        if self._guard is not None:
-            os.killpg(self._guard.pid, signal.SIGKILL)
-            self._guard.communicate()
 
     def _start(self, spec: NodeSpec) -> None:
         command = [sys.executable, "-m", f"unifeed_ros.nodes.{spec.executable}", *spec.arguments()]

@@ -44,7 +44,7 @@ class StopSignal:
         Args:
             grace: Time from the first signal to the forced end of the process [s].
         """
-        self._event = threading.Event()
+        self._raised = False  # no lock: the next signal may come in the middle of the handler of this one
         self._grace = grace
 
     def install(self) -> None:
@@ -55,12 +55,12 @@ class StopSignal:
     @property
     def raised(self) -> bool:
         """True after a signal."""
-        return self._event.is_set()
+        return self._raised
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if self._event.is_set():
+        if self._raised:
             return
-        self._event.set()
+        self._raised = True
         watch = threading.Timer(self._grace, self._give_up)
         watch.daemon = True
         watch.start()
