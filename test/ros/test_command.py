@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -89,6 +90,13 @@ def test_a_session_ends_on_a_signal_with_its_bag_closed(start_process, ros_envir
         assert reader.message_count > 100
     status, output, _ = run(ros_environment, "bag", "check", out / "bag")
     assert status == 0, output
+
+
+def test_a_domain_that_is_claimed_is_refused_before_anything_is_discovered(ros_environment, domain_id, tmp_path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as claim:
+        claim.bind(f"\0unifeed-session-domain-{domain_id}")
+        status, _, error = run(ros_environment, "up", "--robot", "panda", "--sim", "--out", tmp_path / "second")
+    assert status == 2 and "already running" in error and len(error.strip().splitlines()) == 1
 
 
 @pytest.mark.timeout(120)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import socket
 import time
 from collections.abc import Callable
 from types import TracebackType
@@ -40,6 +42,7 @@ class SessionMonitor:
             DiagnosticArray, "/diagnostics", self._on_diagnostics, publisher_qos("diagnostics")
         )
         self._stop = self.node.create_client(Trigger, "stop")
+        self._claim = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
 
     def __enter__(self) -> SessionMonitor:
         """Use as a context manager: leaving it ends the node."""
@@ -48,7 +51,8 @@ class SessionMonitor:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End the node."""
+        """End the node, and let the domain go."""
+        self._claim.close()
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown()
@@ -71,9 +75,20 @@ class SessionMonitor:
         return until()
 
     def session_is_running(self) -> bool:
-        """Look for a session's nodes on this domain for a moment."""
-        return self.spin(DISCOVERY_S, lambda: any(
+        """Look for a session's nodes on this domain for a moment; if there are none, claim the domain until the end.
+
+        The claim is a name that Linux gives back however this process ends: on a busy machine discovery may take
+        longer than a moment, and two sessions must never drive one arm.
+        """
+        return not self._claims_domain() or self.spin(DISCOVERY_S, lambda: any(
             self.node.count_publishers(topic) for topic in ("joint_command", "lesson_state", "joint_states")))
+
+    def _claims_domain(self) -> bool:
+        try:
+            self._claim.bind(f"\0unifeed-session-domain-{self.node.context.get_domain_id()}")
+        except OSError as error:
+            return error.errno != errno.EADDRINUSE  # a system without such names
+        return True
 
     def stop_arm(self) -> bool:
         """Call the controller's stop; true if it answered within a second."""
