@@ -17,18 +17,35 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS is not there: source a workspace, or run make setup")
 
+sys.path.insert(0, str(Path(__file__).parent))
+from stall_watch import StallWatch
+
 REPOSITORY = Path(__file__).resolve().parents[2]
-STALLED = ["no joint state for", "joint states stopped coming"]
+STALLED = ("no joint state for", "joint states stopped coming")
 """What a session says, rightly, when the machine gave the simulated arm no processor for a tenth of a second."""
 DOMAINS = range(10, 100)
 """Domains whose ports stay below Linux's range of ephemeral ports."""
+BEGUN = pytest.StashKey[float]()
 
 
-def pytest_collection_modifyitems(items):
-    """Let a test that failed because the machine stalled, and only such a one, try again."""
+def pytest_collection_modifyitems(config, items):
+    """Let a test that failed while the machine stalled, and only such a one, try again."""
+    items = [item for item in items if Path(__file__).parent in item.path.parents]
+    if not items or config.option.collectonly:
+        return
+    watch = StallWatch()
+    config.add_cleanup(watch.close)
     for item in items:
-        if Path(__file__).parent in item.path.parents:
-            item.add_marker(pytest.mark.flaky(reruns=2, only_rerun=STALLED))
+        def stalled(error, item=item):
+            said = any(text in str(error) for text in STALLED)
+            return said or watch.stalled_since(item.stash[BEGUN])
+
+        item.add_marker(pytest.mark.flaky(reruns=2, condition=stalled))
+
+
+def pytest_runtest_setup(item):
+    """Remember when the test began, each time that it does."""
+    item.stash[BEGUN] = time.monotonic()
 
 
 @pytest.fixture

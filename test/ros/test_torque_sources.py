@@ -116,7 +116,7 @@ def test_a_hit_stops_the_arm_and_nothing_is_learned_from_it(start_node, ros_node
     hand.wait(lambda: hand.modes[-1].mode == TeachingState.TRACK and hand.modes[-1].motion_time > 1.0)
     begun = time.monotonic()
     hand.push_until(lambda: hand.modes[-1].mode == TeachingState.STOPPED or time.monotonic() > begun + 20.0,
-                    (0.0, 0.0, 70.0))  # upwards most of it is taken by the heavy joints: none is too fast before it stops
+                    (0.0, 0.0, 70.0))  # upwards the heavy joints take it: none is too fast before it stops
     assert hand.modes[-1].mode == TeachingState.STOPPED
     assert "hit the arm" in hand.modes[-1].message
     hand.wait(lambda: hand.runs)
