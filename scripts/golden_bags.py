@@ -1,6 +1,6 @@
 """Make the small recordings in bags/ that tests replay; bags/README.md says which and how.
 
-    .venv/bin/python scripts/golden_bags.py lesson ur10 laptop DC 2 bags/ur10_laptop_dc
+    .venv/bin/python scripts/golden_bags.py lesson ur10 laptop CD 9 bags/ur10_laptop_cd
     .venv/bin/python scripts/golden_bags.py cut out/demo/bag bags/panda_table_dcp
     .venv/bin/python scripts/golden_bags.py real DATA bags
 

@@ -31,7 +31,7 @@ from unifeed_ros.resources import config_path
 
 BAGS = sorted(path.parent for path in (Path(__file__).resolve().parents[2] / "bags").glob("*/metadata.yaml"))
 SESSIONS = [bag for bag in BAGS if not bag.name.startswith("real_")]
-LARGEST_MIB = 25
+LARGEST_MIB = 45
 TOLERANCE = Tolerance(time=0.15, position=0.05)
 """How far capture may move the ends of what it cuts out, and the motions with them, without a new recording."""
 
