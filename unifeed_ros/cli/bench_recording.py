@@ -157,7 +157,8 @@ def kill_recorders(count: int, place: Path, rng: random.Random) -> list[dict[str
 
 def _judge_kill(bag: Path, log: Path, killed: int) -> dict[str, Any]:
     recover_bag(bag)
-    times = [ENTRY.unpack_from(log.read_bytes(), at)[0] for at in range(0, log.stat().st_size, ENTRY.size)]
+    entries = log.read_bytes()
+    times = [entry[0] for entry in ENTRY.iter_unpack(entries[:len(entries) // ENTRY.size * ENTRY.size])]
     published = sum(moment <= killed for moment in times)
     sound = not any(finding.problems for finding in check_bag(bag))
     loss, kept = 0.0, 0
