@@ -31,7 +31,7 @@ ROS_REQUIREMENTS = "requirements-ros.txt"
 IMPORTS = ("torch", "scipy.interpolate", "scipy.optimize", "pinocchio", "mujoco", "matplotlib.pyplot", "mcap.writer",
            "safetensors.numpy", "rclpy.action", "sensor_msgs.msg", "pytest", "hypothesis", "osqp", "piqp",
            "rosbags.highlevel", "mcap_ros2.decoder", "pyarrow.parquet", "pandas",
-           "pingouin", "distributed")
+           "pingouin", "distributed", "viser", "yourdfpy", "textual.app", "rosbags.rosbag2", "zstandard", "lz4.frame")
 """Imported once by setup: an incomplete install shows, and what the nodes need is compiled, the rest never."""
 ROS_VARIABLES = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONPATH",
                  "PYTHONHOME", "VIRTUAL_ENV", "_ROS_WHEELS_BOOTSTRAP_COMPLETE", "_UNIFEED_ENVIRONMENT")
@@ -152,9 +152,8 @@ class Setup:
 
     def __init__(self, choice: Choice, environ: Mapping[str, str], lock: int) -> None:
         self.choice, self.lock = choice, lock
-        self.env = dict(environ)
-        if choice.ros == "wheels":
-            self.env = {k: v for k, v in environ.items() if k not in ROS_VARIABLES}
+        unwanted = ("PYTHONDONTWRITEBYTECODE", *(ROS_VARIABLES if choice.ros == "wheels" else ()))
+        self.env = {k: v for k, v in environ.items() if k not in unwanted}
         self.python = VENV / "bin" / "python"
         self.half_done = STATE / "packages.begun"
 
@@ -173,7 +172,7 @@ class Setup:
         return [
             Step("venv", venv, self.make_venv),
             Step("packages", digest(venv, *files), lambda: self.install_packages(files)),
-            Step("environment", digest(venv, *files, ROOT / "scripts" / "ros_environment.py"), self.set_environment),
+            Step("environment", digest(venv, *files, IMPORTS, ROOT / "scripts" / "ros_environment.py"), self.set_environment),
             Step("messages", digest(venv, *ros, ROOT / "unifeed_msgs"), self.build_messages),
             Step("project", digest(venv, ROOT / "setup.py", ROOT / "setup.cfg"), self.install_project),
         ]
