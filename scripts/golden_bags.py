@@ -2,10 +2,12 @@
 
     .venv/bin/python scripts/golden_bags.py lesson ur10 laptop CD 9 bags/ur10_laptop_cd
     .venv/bin/python scripts/golden_bags.py cut out/demo/bag bags/panda_table_dcp
+    .venv/bin/python scripts/golden_bags.py faults out/bench-faults/bag bags/panda_table_faults
     .venv/bin/python scripts/golden_bags.py real DATA bags
 
 "lesson" records a lesson that is taught in one process, in simulated time: it does not depend on the machine's load.
 "cut" copies a live recording without what tests do not need: the fast topics only where the arm was guided or touched.
+"faults" copies a recording of `unifeed bench faults`: what was said, and the fast topics around each fault.
 "real" turns recordings of real arms that may be copied into bags.
 """
 
@@ -24,12 +26,22 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from unifeed_msgs.msg import TeachingState
 from unifeed_ros.cli.arguments import session_files
+from unifeed_ros.cli.bench_faults import MENDED
 from unifeed_ros.core.capture.contact import ContactDetector, ContactSample
 from unifeed_ros.core.capture.feedback_capture import Captured, FeedbackCapture
 from unifeed_ros.core.config import load_parameters
 from unifeed_ros.core.feedback.dataset import FeedbackDataset
 from unifeed_ros.core.modes import TeachingMode
-from unifeed_ros.core.recording import BagMessage, BagWriter, Qos, RecordedTopic, bag_settings, message_type, read_bag
+from unifeed_ros.core.recording import (
+    BagMessage,
+    BagWriter,
+    Qos,
+    RecordedTopic,
+    bag_info,
+    bag_settings,
+    message_type,
+    read_bag,
+)
 from unifeed_ros.core.recording.reader import SETTINGS_KEY
 from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.core.scene import load_scene
@@ -46,6 +58,10 @@ AROUND = 0.7
 """Time kept before and after a guided or touched run [s]: capture's pre-roll, and the end of its touch."""
 BIAS = 1.0
 """Time kept at the start, in which the contact detector learns the sensors' bias [s]."""
+BEFORE, AFTER = 0.5, 1.4
+"""Time kept before a fault begins, and after [s]: a wire is broken for one second."""
+LEAD = 3.0
+"""Time kept before the first fault, in which the arm holds and then begins to move [s]."""
 FAST = ("/joint_states", "/external_torques", "/teaching_state")
 SLOW = ("/trajectory", "/trajectory_preview", "/feedback", "/reward_model", "/preference_query", "/interaction",
         "/lesson_state")
@@ -214,6 +230,24 @@ def cut(bag: Path, out: Path) -> None:
     _write(out, messages, settings)
 
 
+def cut_faults(bag: Path, out: Path) -> None:
+    """Copy a recording of faults: its marks, what was said from the first one on, and the fast topics around each."""
+    marks = bag_info(bag).marks
+    begins = [time for time, text in marks if text != MENDED]
+    second = 10**9
+    first, last = begins[0] - round(LEAD * second), marks[-1][0] + second
+    kept = [(first, begins[0]), *((t - round(BEFORE * second), t + round(AFTER * second)) for t in begins)]
+
+    def worth(message: BagMessage) -> bool:
+        return message.topic not in FAST or any(a <= message.time <= b for a, b in kept)
+
+    messages = [(m.topic, m.time, m.data) for m in read_bag(bag, (*FAST, "/trajectory", "/lesson_state"))
+                if first <= m.time <= last and worth(m)]
+    settings = {name: values for name, values in bag_settings(bag).items() if isinstance(values, dict)}
+    settings.pop("recorder", None)
+    _write(out, messages, settings, marks)
+
+
 def real(data: Path, out: Path) -> None:
     """Turn recordings of real arms, of licences that allow it, into bags: a file a run, with its name as a mark."""
     for name, (prefix, pattern) in REAL.items():
@@ -274,12 +308,15 @@ def _topics(names: Sequence[str]) -> list[RecordedTopic]:
         durability="transient_local" if find_topic(name).latched else "volatile"),)) for name in names]
 
 
-def _write(out: Path, messages: Sequence[tuple[str, int, bytes]], settings: dict[str, Any]) -> None:
+def _write(out: Path, messages: Sequence[tuple[str, int, bytes]], settings: dict[str, Any],
+           marks: Sequence[tuple[int, str]] = ()) -> None:
     topics = _topics(sorted({topic for topic, _, _ in messages}))
     with BagWriter(out, topics, chunk_bytes=1 << 20, flush_period=60.0,
                    custom={SETTINGS_KEY: json.dumps(settings)}) as bag:
         for topic, time, data in messages:
             bag.write(topic, data, time)
+        for time, text in marks:
+            bag.mark(text, time)
 
 
 if __name__ == "__main__":
@@ -287,4 +324,4 @@ if __name__ == "__main__":
     if command == "lesson":
         record_lesson(words[0], words[1], words[2], int(words[3]), Path(words[4]))
     else:
-        {"cut": cut, "real": real}[command](Path(words[0]), Path(words[1]))
+        {"cut": cut, "faults": cut_faults, "real": real}[command](Path(words[0]), Path(words[1]))

@@ -172,7 +172,8 @@ class Setup:
         return [
             Step("venv", venv, self.make_venv),
             Step("packages", digest(venv, *files), lambda: self.install_packages(files)),
-            Step("environment", digest(venv, *files, IMPORTS, ROOT / "scripts" / "ros_environment.py"), self.set_environment),
+            Step("environment", digest(venv, *files, IMPORTS, ROOT / "scripts" / "ros_environment.py"),
+                 self.set_environment),
             Step("messages", digest(venv, *ros, ROOT / "unifeed_msgs"), self.build_messages),
             Step("project", digest(venv, ROOT / "setup.py", ROOT / "setup.cfg"), self.install_project),
         ]

@@ -11,6 +11,8 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from unifeed_msgs.msg import Contact
+from unifeed_msgs.srv import ListFeedback
+from unifeed_ros.nodes.capture import highest_numbers
 from unifeed_ros.nodes.conversions import seconds, stamp
 from unifeed_ros.nodes.topics import publisher_qos, subscriber_qos
 
@@ -54,3 +56,17 @@ def test_samples_that_came_while_it_had_no_processor_are_not_lost(ros_node, star
     spin_until(lambda: bool(heard) and heard[-1] > begun + 0.18, 20.0, lambda: str(heard))
     assert max(b - a for a, b in pairwise(heard)) < 0.02, heard
     assert heard[0] < begun + 0.02
+
+
+def test_names_count_on_from_what_was_taught_before_the_node_began(ros_node, start_node, spin_until):
+    asked = []
+
+    def answer(request, response):
+        asked.append(request)
+        return response
+
+    ros_node.create_service(ListFeedback, "list_feedback", answer)
+    start_node("capture", parameter_files=session_files())
+    spin_until(lambda: bool(asked), 60.0)
+    assert highest_numbers(["demonstration-2", "correction-1", "demonstration-10", "preference-query-3", "mine"]) == {
+        "demonstration": 10, "correction": 1, "preference-query": 3}

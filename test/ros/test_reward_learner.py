@@ -11,7 +11,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from session_helpers import session_files
 
-from unifeed_msgs.msg import Feedback, RewardStatus, TrackedRun
+from unifeed_msgs.msg import Feedback, RewardModel, RewardStatus, TrackedRun
 from unifeed_msgs.srv import ListFeedback, RankMotions, SelectQuery, TrainReward, UndoFeedback
 from unifeed_ros.core.feedback.items import Demonstration
 from unifeed_ros.core.robot import RobotModel, load_robot
@@ -69,6 +69,37 @@ def test_a_model_comes_once_of_many_requests(taught_learner, ros_node, spin_unti
     spin_until(lambda: all(future.done() for future in answers), 60.0)
     versions = [future.result().version for future in answers if future.result().success]
     assert answers[-1].result().success and versions == sorted(set(versions))
+
+
+def test_a_learner_that_was_killed_goes_on_with_what_it_was_taught(start_node, ros_node, spin_until, call, tmp_path):
+    def start():
+        return start_node("reward_learner", {"learner.folder": tmp_path / "taught", "training.steps": 50},
+                          parameter_files=session_files())
+
+    models, statuses = [], []
+    ros_node.create_subscription(RewardModel, "reward_model", models.append, subscriber_qos("reward_model"))
+    ros_node.create_subscription(RewardStatus, "reward_status", statuses.append, subscriber_qos("reward_status"))
+    feedback = ros_node.create_publisher(Feedback, "feedback", publisher_qos("feedback"))
+    first = start()
+    spin_until(lambda: feedback.get_subscription_count() > 0, 60.0)
+    for name in ("demonstration-1", "demonstration-2"):
+        shown = demonstration(session_files())
+        shown.id = name
+        feedback.publish(shown)
+    spin_until(lambda: statuses and statuses[-1].demonstrations == 2, 30.0)
+    assert call(UndoFeedback, "undo_feedback").id == "demonstration-2"
+    assert call(TrainReward, "train_reward").success
+    spin_until(lambda: len(models) == 1, 30.0)
+    first.kill()
+    start()
+    spin_until(lambda: len(models) == 2, 60.0)
+    assert models[1].version > models[0].version and models[1].weights == models[0].weights
+    answer = call(ListFeedback, "list_feedback")
+    assert (list(answer.ids), list(answer.taken_back)) == (["demonstration-1"], ["demonstration-2"])
+    shown.header.stamp.sec += 1  # given back
+    feedback.publish(shown)
+    spin_until(lambda: statuses[-1].demonstrations == 2, 30.0)
+    assert call(TrainReward, "train_reward").success
 
 
 def test_questions_are_chosen_while_the_node_answers(taught_learner, ros_node, spin_until, call):

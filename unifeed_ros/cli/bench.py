@@ -136,7 +136,8 @@ def _add_fault_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tries", type=int, default=20, help="tries of each fault (default: 20)")
     parser.add_argument("--fault", action="append", metavar="NAME", help="only this fault (may be repeated)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the moments at which faults begin (default: 0)")
-    parser.add_argument("--out", type=Path, help="folder for logs (default: out/bench-faults-<date>-<time>)")
+    parser.add_argument("--out", type=Path,
+                        help="folder for logs and the recording (default: out/bench-faults-<date>-<time>)")
 
 
 def _add_recording_options(parser: argparse.ArgumentParser) -> None:

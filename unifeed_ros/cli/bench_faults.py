@@ -1,4 +1,7 @@
-"""`unifeed bench faults`: every fault tried against the running nodes: how soon the arm stops, what is said."""
+"""`unifeed bench faults`: every fault tried against the running nodes: how soon the arm stops, what is said.
+
+The session is recorded; a mark with the fault's name stands where each begins, and MENDED where it ends.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from unifeed_msgs.msg import LessonState, TeachingState
-from unifeed_msgs.srv import ListFeedback
+from unifeed_msgs.srv import ListFeedback, Mark
 from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder, session_files
 from unifeed_ros.cli.faulty_wire import FAULTS
 from unifeed_ros.cli.monitor import SessionMonitor
@@ -31,6 +34,8 @@ KILLED = ("capture", "reward_learner", "trajectory_optimizer", "session", "share
 """Nodes that are killed."""
 START_S, MOTION_S = 300.0, 60.0
 """Longest waits for a session that gets ready, and for a motion that begins [s]."""
+MENDED = "mended"
+"""Mark where a fault ends."""
 BROKEN_S = 1.0
 """How long the wire stays broken [s]."""
 NOTICED_S = 12.0
@@ -70,7 +75,8 @@ def run(options: argparse.Namespace) -> int:
     if unknown := [name for name in chosen if name not in names]:
         raise UserMistake("unknown fault", expected=", ".join(names), got=", ".join(unknown))
     out = prepare_folder(options.out or Path("out") / time.strftime("bench-faults-%Y%m%d-%H%M%S"))
-    setup = SessionSetup(parameter_files=session_files("panda", "table"), simulated=True, taught_by="D")
+    setup = SessionSetup(parameter_files=session_files("panda", "table"), simulated=True, taught_by="D",
+                         bag=out / "bag")
     specs = [_changed(spec) for spec in node_table(setup)]
     with SessionMonitor("unifeed_bench") as monitor:
         if monitor.session_is_running():
@@ -137,6 +143,7 @@ class _Trial:
                                          subscriber_qos("teaching_state"))
         self._clients = {name: monitor.node.create_client(Trigger, name) for name in ("run", "reset", "stop")}
         self._list = monitor.node.create_client(ListFeedback, "list_feedback")
+        self._marks = monitor.node.create_client(Mark, "mark")
         if not monitor.spin(START_S, lambda: len(monitor.interactions) > 0 and self._ready()):
             raise UserMistake("nothing was taught", got=monitor.lesson.message, mend="see the logs")
 
@@ -155,7 +162,9 @@ class _Trial:
             self._await(lambda: self._teaching.mode == TeachingState.TRACK and self._teaching.motion_id.startswith(
                 "run"), MOTION_S, f"{name}: no motion began")
             self._monitor.spin(float(rng.uniform(0.3, 2.0)))
+            self._mark(name)
             (self._kill if name.startswith("kill") else self._break)(name, tries)
+            self._mark(MENDED)
             self._recover()
             tries.kept += self._taught() > 0
             print(f"{name} {k + 1}/{count}: {tries.messages[-1]}", file=sys.stderr, flush=True)
@@ -202,6 +211,9 @@ class _Trial:
     def _taught(self) -> int:
         answer = self._ask(self._list, ListFeedback.Request())
         return len(answer.ids) if answer is not None else 0
+
+    def _mark(self, text: str) -> None:
+        self._ask(self._marks, Mark.Request(text=text))
 
     def _call(self, name: str) -> None:
         self._ask(self._clients[name], Trigger.Request())

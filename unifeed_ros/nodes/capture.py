@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 
+from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectory
 
 from unifeed_msgs.msg import TeachingState
+from unifeed_msgs.srv import ListFeedback
 from unifeed_ros.core.capture.contact import ContactDetector, ContactSample
 from unifeed_ros.core.capture.contact_config import ContactConfig
 from unifeed_ros.core.capture.feedback_capture import (
@@ -39,6 +42,23 @@ KEPT_SAMPLES = 1000
 """Samples of a fast topic that wait for this node: a push whose samples are lost teaches something else."""
 
 
+def highest_numbers(names: Iterable[str]) -> dict[str, int]:
+    """Find up to where names such as "demonstration-3" are in use.
+
+    Args:
+        names: Names of feedback.
+
+    Returns:
+        The highest number by kind.
+    """
+    numbers: dict[str, int] = {}
+    for name in names:
+        kind, _, number = name.rpartition("-")
+        if number.isdecimal():
+            numbers[kind] = max(numbers.get(kind, 0), int(number))
+    return numbers
+
+
 class CaptureNode(UnifeedNode):
     """Watch the arm being touched and publish what the person showed."""
 
@@ -59,6 +79,8 @@ class CaptureNode(UnifeedNode):
         self._state: RobotState | None = None
         self._contact_sent, self._was_in_contact = 0.0, False
         self._taken = {"demonstration": 0, "correction": 0}
+        self._taught = self.create_client(ListFeedback, "list_feedback")
+        self._asking = self.create_timer(0.2, self._ask_for_names, clock=self.steady)
         self._contacts = self.advertise("contact")
         self._feedback = self.advertise("feedback")
         self._runs = self.advertise("tracked_run")
@@ -123,6 +145,18 @@ class CaptureNode(UnifeedNode):
                                   trajectory=captured.trajectory)]
         return [Correction(id=self._name("correction"), robot=robot, context=self._task_context, planned=span.planned,
                            corrected=span.corrected, span=span.span) for span in captured.corrections]
+
+    def _ask_for_names(self) -> None:
+        """Ask once what was taught before this node began: names count on from there."""
+        if self._taught.service_is_ready():
+            self._asking.cancel()
+            self._taught.call_async(ListFeedback.Request()).add_done_callback(self._on_taught)
+
+    def _on_taught(self, future: Future[ListFeedback.Response]) -> None:
+        answer = future.result()
+        for kind, number in highest_numbers((*answer.ids, *answer.taken_back)).items():
+            if kind in self._taken:
+                self._taken[kind] = max(self._taken[kind], number)
 
     def _name(self, kind: str) -> str:
         self._taken[kind] += 1

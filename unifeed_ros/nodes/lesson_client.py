@@ -39,7 +39,7 @@ class LessonClient:
         """File of the newest save."""
         self.relearning = False
         """True while the reward is learned again after an undo."""
-        self._feedback = node.advertise("feedback")
+        self._feedback, self._clock_now = node.advertise("feedback"), node.get_clock().now
         self._buttons = {name: node.create_client(Trigger, name) for name in TRIGGERS}
         self._answer = node.create_client(AnswerQuery, "answer_query")
         self._undo = node.create_client(UndoFeedback, "undo_feedback")
@@ -101,6 +101,7 @@ class LessonClient:
     def _give_back(self, name: str) -> None:
         if name in self._messages:
             self._given_back = name
+            self._messages[name].header.stamp = self._clock_now().to_msg()
             self._feedback.publish(self._messages[name])
 
     def _on_list(self, future: Future) -> None:

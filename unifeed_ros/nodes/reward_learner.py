@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -40,6 +42,7 @@ from unifeed_ros.nodes.conversions import (
     trajectory_to_msg,
 )
 from unifeed_ros.nodes.deferred import patiently
+from unifeed_ros.nodes.kept_feedback import KeptFeedback
 from unifeed_ros.nodes.node import ERROR, OK, WARN, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
@@ -50,6 +53,14 @@ MESSAGE_KINDS = {"demonstration": Feedback.DEMONSTRATION, "correction": Feedback
 
 REMEMBERED_RUNS = 100
 """Number of past runs that can be ranked."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnerConfig:
+    """Settings of the node."""
+
+    folder: str = ""
+    """Folder that keeps what was taught, so that a learner that is started again goes on with it; empty: none."""
 
 
 class RewardLearnerNode(UnifeedNode):
@@ -70,15 +81,21 @@ class RewardLearnerNode(UnifeedNode):
         self._known: RewardEnsemble | None = None
         self._version = 0
         self._reliability = (1.0, 1.0, 1.0)
+        self._stamps: dict[str, tuple[int, int]] = {}
         self._runs: dict[str, Trajectory] = {}
         self._rankings = 0
         self._query: PreferenceQuery | None = None
         self._queries_asked = 0
         self._time = 0.0
         self._under_way = 0
+        folder = settings(self, "learner", LearnerConfig).folder
+        self._kept = KeptFeedback(Path(folder)) if folder else None
+        self._relearned: Future[TrainingResult] | None = None
         self._worker = TrainingWorker()
         self._connect()
         self.say(OK, "nothing taught yet")
+        if self._kept is not None and self._kept.found:
+            self._go_on(self._kept.found)
         self._publish_status_message()
 
     def _connect(self) -> None:
@@ -110,9 +127,50 @@ class RewardLearnerNode(UnifeedNode):
 
         return callback
 
-    def _on_feedback(self, msg: Feedback) -> None:
-        if msg.id in {item.id for item in self._dataset.items}:
+    def _go_on(self, found: list[tuple[Feedback, bool]]) -> None:
+        """Take what an earlier learner of this session was taught, and learn from it at once."""
+        for msg, counts in found:
+            self._dataset.add(feedback_from_msg(msg, self._robot.joint_names))
+            if not counts:
+                self._dataset.undo(msg.id)
+            self._stamps[msg.id] = (msg.header.stamp.sec, msg.header.stamp.nanosec)
+            self._time = seconds(msg.header.stamp)
+        self._version = self._rankings = self._queries_asked = len(found)  # none of its names is used again
+        self.say(OK, f"{len(self._dataset.items)} inputs of before are there again")
+        if self._dataset.items:
+            self._relearned = Future()
+            self._under_way += 1
+            self._worker.train(self._relearned, self._dataset, self._robot, self._training, from_scratch=False,
+                               version=self._version + 1, seed=self._questions.seed, known=None)
+
+    def _finish_going_on(self) -> None:
+        if self._relearned is None or not self._relearned.done():
             return
+        done, self._relearned = self._relearned, None
+        self._under_way -= 1
+        try:
+            result = done.result()
+            if self._model is None:  # else it was trained meanwhile, on request
+                self._finish(result, TrainReward.Response())
+                self._known = self._model
+        except UnifeedError as error:
+            self.say(WARN, f"not learned from the inputs of before: {error}")
+        self._publish_status_message()
+
+    def _keep(self, msg: Feedback) -> None:
+        """Write an input to the folder, if there is one."""
+        try:
+            if self._kept is not None:
+                self._kept.add(msg)
+        except OSError as error:
+            self.say(WARN, f"{msg.id} is lost if this node ends: {error}")
+
+    def _on_feedback(self, msg: Feedback) -> None:
+        stamp = (msg.header.stamp.sec, msg.header.stamp.nanosec)
+        # what is given back has a new stamp; what comes twice, as after a kill it may, has not
+        if msg.id in {item.id for item in self._dataset.items} or self._stamps.get(msg.id) == stamp:
+            return
+        self._stamps[msg.id] = stamp
         try:
             item = feedback_from_msg(msg, self._robot.joint_names)
             self._dataset.add(item)
@@ -121,6 +179,14 @@ class RewardLearnerNode(UnifeedNode):
             return
         self._time = seconds(msg.header.stamp)
         self.say(OK, f"{item.kind} {item.id} taken")
+        self._keep(msg)
+        self._publish_status_message()
+
+    def _add_ranking(self, item: Preference) -> None:
+        self._dataset.add(item)
+        msg = feedback_to_msg(item, self._time, self._robot.config.base_frame)
+        self._feedback.publish(msg)
+        self._keep(msg)
         self._publish_status_message()
 
     def _on_run(self, msg: TrackedRun) -> None:
@@ -232,11 +298,9 @@ class RewardLearnerNode(UnifeedNode):
             id=f"preference-ranking-{self._rankings + 1}", robot=self._robot.config.name,
             context=self._context_of(request.context), options=tuple(known[name] for name in request.motions),
             ranks=tuple(request.ranks))
-        self._dataset.add(item)
+        self._add_ranking(item)
         self._rankings += 1
-        self._feedback.publish(feedback_to_msg(item, self._time, self._robot.config.base_frame))
         response.feedback_id = item.id
-        self._publish_status_message()
         return "noted" if item.ranked_pairs else "noted; without a better and a worse motion nothing is learned from it"
 
     def _answer(self, request: AnswerQuery.Request, response: AnswerQuery.Response) -> str:
@@ -251,16 +315,19 @@ class RewardLearnerNode(UnifeedNode):
             ranks=tuple(request.ranks),
             query_id=self._query.id,
         )
-        self._dataset.add(item)
-        self._feedback.publish(feedback_to_msg(item, self._time, self._robot.config.base_frame))
+        self._add_ranking(item)
         self._query = None
         response.feedback_id = item.id
-        self._publish_status_message()
         return "noted" if item.ranks else "noted: neither; nothing is learned from it"
 
     def _undo(self, request: UndoFeedback.Request, response: UndoFeedback.Response) -> str:
         item = self._dataset.undo(request.id or None)
         response.id, response.remaining = item.id, len(self._dataset.items)
+        try:
+            if self._kept is not None:
+                self._kept.take_back(item.id)
+        except OSError as error:
+            self.say(WARN, f"{item.id} counts again if this node ends: {error}")
         self._publish_status_message()
         return f"{item.kind} {item.id} taken back; train_reward learns without it"
 
@@ -269,6 +336,7 @@ class RewardLearnerNode(UnifeedNode):
         response.ids = [item.id for item in items]
         response.kinds = [MESSAGE_KINDS[item.kind] for item in items]
         response.summaries = [_summary(item) for item in items]
+        response.taken_back = list(self._dataset.undone)
         return f"{len(items)} inputs"
 
     def _trust(self) -> dict[str, float]:
@@ -290,6 +358,7 @@ class RewardLearnerNode(UnifeedNode):
         return self._model
 
     def _tick(self) -> None:
+        self._finish_going_on()
         if self._under_way:
             self._publish_status_message()
 

@@ -51,7 +51,7 @@ class SessionSetup:
     speed: float = 1.0
     """Simulated seconds per second."""
     bag: Path | None = None
-    """Folder of the recording; None: nothing is recorded."""
+    """Folder of the recording, the learner keeps its inputs beside it, in `<bag>_taught`; None: nothing is kept."""
     console: bool = False
     """True: with the teaching page."""
     console_parameters: Mapping[str, Parameter] = field(default_factory=dict)
@@ -70,6 +70,7 @@ def node_table(setup: SessionSetup) -> tuple[NodeSpec, ...]:
         The nodes.
     """
     rows: list[tuple[str, Mapping[str, Parameter]]] = []
+    kept: dict[str, Parameter] = {} if setup.bag is None else {"learner.folder": f"{setup.bag}_taught"}
     if setup.bag is not None:
         rows.append((RECORDER, {"recorder.folder": str(setup.bag)}))
     if setup.simulated:
@@ -77,7 +78,7 @@ def node_table(setup: SessionSetup) -> tuple[NodeSpec, ...]:
     rows += [
         ("shared_control", {}),
         ("capture", {}),
-        ("reward_learner", {"query.seed": setup.seed}),
+        ("reward_learner", {"query.seed": setup.seed, **kept}),
         ("trajectory_optimizer", {}),
         ("session", {}),
     ]

@@ -29,6 +29,11 @@ class FeedbackDataset:
         return tuple(item for item in self._log.values() if item.id not in self._undone)
 
     @property
+    def undone(self) -> tuple[str, ...]:
+        """Names of the items that were undone."""
+        return tuple(name for name in self._log if name in self._undone)
+
+    @property
     def counts(self) -> tuple[int, int, int]:
         """Number of demonstrations, corrections and preferences that were not undone."""
         letters = [item.letter for item in self.items]
