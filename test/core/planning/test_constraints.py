@@ -91,6 +91,31 @@ def test_distances_to_spheres_are_the_closed_form(case):
     assert checked == len(capsules) and deepest < -0.05
 
 
+@pytest.mark.parametrize("near", [0.0, 0.1])
+def test_distances_to_boxes_are_coals_and_left_out_only_where_they_are_far(case, near):
+    rng = np.random.default_rng(2)
+    postures = case.start + rng.normal(scale=0.4, size=(40, case.robot.n))
+    pose = Kinematics(case.robot).evaluate(postures)
+    zone = Zone(shape="box", position=(0.4, 0.0, 0.4), size=(0.2, 0.3, 0.25))
+    values = clearance_constraint(case.robot, {"crate": zone}, -5.0, 0.02)
+    found = values.evaluate(pose, np.zeros(postures.shape), near).values
+    capsules = {c.name: c for c in arm_capsules(case.robot) if c.body > 0}
+    box, place, known = coal.Box(*zone.size), coal.Transform3s(np.eye(3), zone.position), 0
+    for p, name in enumerate(values.names):
+        capsule = capsules.get(name.removesuffix(" to zone crate"))
+        if capsule is None or not name.endswith("to zone crate"):
+            continue
+        for k in range(len(postures)):
+            low, high = (pose.rotations[capsule.body, k] @ end + pose.origins[capsule.body, k] for end in capsule.ends)
+            turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), high - low).toRotationMatrix()
+            true = coal.distance(coal.Capsule(capsule.radius, capsule.length), coal.Transform3s(
+                turn if capsule.length > 1e-9 else np.eye(3), 0.5 * (low + high)), box, place, coal.DistanceRequest(),
+                coal.DistanceResult())
+            assert found[k, p] == pytest.approx(true, abs=1e-5) or (found[k, p] == np.inf and true >= 0.02 + near)
+            known += np.isfinite(found[k, p])
+    assert known > 10
+
+
 @given(seed=st.integers(0, 10_000))
 def test_distances_of_segments_are_those_of_coal(seed):
     """Thin capsules of coal around the same segments: askew, parallel, meeting at an end, and points."""

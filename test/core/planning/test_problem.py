@@ -106,3 +106,16 @@ def test_a_reward_that_is_not_finite_is_refused(panda):
 
     with pytest.raises(PlanningError, match="reward is not finite"):
         make_problem(panda, Broken())
+
+
+def test_way_points_beside_a_miss_have_to_come_farther_than_they_are(case):
+    """Also where they are well away: a tool that hurries past a corner misses it between them."""
+    problem = make_problem(case, None)
+    waypoints = straight_line(problem)
+    tool = len(problem.bounds.constraints[0].names) - 1  # its height over the table
+    shortfalls = np.zeros((70, problem.evaluate(waypoints).clearances.shape[1]))
+    shortfalls[66, tool] = 1e-5  # between the last two
+    raised = problem.raised(waypoints, shortfalls, np.zeros(problem.joints)).evaluate(waypoints)
+    before = problem.evaluate(waypoints)
+    assert before.clearances[-1, tool] > 0.03 and before.violation == 0.0
+    np.testing.assert_array_equal(raised.shortfalls > 3e-4, problem.free == 6)

@@ -28,6 +28,8 @@ _PARALLEL = 1e-12
 """Square of the sine below which segments are taken for parallel [1]."""
 _CROSSED = 1e-9
 """Distance below which segments cross [m]."""
+_LOOKS = 5
+"""Points of a segment whose distances to a box tell whether coal need be asked."""
 
 
 class _Thing(NamedTuple):
@@ -38,6 +40,8 @@ class _Thing(NamedTuple):
     """The arm's capsule, or a zone's box, for coal; None: the hull is the zone itself."""
     place: Any
     """Orientation of the capsule in the frame of its joint, or where the box is."""
+    zone: Zone | None = None
+    """The zone that is a box."""
 
 
 def clearance_constraint(robot: RobotModel, zones: Mapping[str, Zone], table_height: float,
@@ -87,7 +91,7 @@ def clearance_constraint(robot: RobotModel, zones: Mapping[str, Zone], table_hei
         found = found._replace(values=found.values - radii[one] - radii[other])
         boxes = np.flatnonzero(of_boxes[pair] & (found.values < distance + near))
         if len(boxes):
-            _let_coal_compute(found, boxes, pose, things, one, other, sample, ends)
+            _let_coal_compute(found, boxes, pose, things, one, other, sample, ends, distance + near)
         column, sample = np.concatenate([tip, pair + len(tips)]), np.concatenate([at, sample])
         size, points, normals = (np.concatenate(parts) for parts in zip(low, found, strict=True))
         kept = size < distance + near
@@ -154,16 +158,33 @@ def _close(ends: Array, limits: Array, first: Indices, second: Indices) -> tuple
 
 
 def _let_coal_compute(found: _Distances, rows: Indices, pose: ArmPose, things: list[_Thing], first: Indices,
-                      second: Indices, samples: Indices, ends: Array) -> None:
-    """Replace the distances to boxes, which are to the spheres around them, by the true ones."""
+                      second: Indices, samples: Indices, ends: Array, far: float) -> None:
+    """Replace the distances to boxes, which are to the spheres around them, by the true ones; inf: surely too far."""
+    segments = ends[first[rows], :, samples[rows]]
+    found.values[rows], near = np.inf, np.zeros(len(rows), dtype=bool)
+    for j in np.unique(second[rows]).tolist():
+        of_box = second[rows] == j
+        near[of_box] = _may_be_near(segments[of_box], things[j].zone) < far + np.array(
+            [things[i].hull.radius for i in first[rows[of_box]]])
+    rows, centres = rows[near], segments[near].mean(axis=1)
+    one = [things[i] for i in first[rows]]
+    turns = (pose.rotations[[thing.hull.body for thing in one], samples[rows]]
+             @ np.array([thing.place for thing in one]).reshape(-1, 3, 3))
     request, result = coal.DistanceRequest(), coal.DistanceResult()
-    for k in rows.tolist():
-        i, j, at = first[k], second[k], samples[k]
-        capsule, box = things[i], things[j]
-        placed = coal.Transform3s(pose.rotations[capsule.hull.body, at] @ capsule.place, ends[i, :, at].mean(axis=0))
+    for k, capsule, turn, centre, j in zip(rows.tolist(), one, turns, centres, second[rows].tolist(), strict=True):
+        placed, box = coal.Transform3s(turn, centre), things[j]
         result.clear()
         found.values[k] = coal.distance(capsule.shape, placed, box.shape, box.place, request, result)
         found.points[k], found.normals[k] = result.getNearestPoint1(), result.normal
+
+
+def _may_be_near(segments: Array, zone: Zone | None) -> Array:
+    """Bound the distances of segments, shape (K, 2, 3) [m], to a box from below: it changes no faster than the way."""
+    assert zone is not None
+    along = segments[:, 1] - segments[:, 0]
+    points = segments[:, :1] + np.linspace(0.0, 1.0, _LOOKS)[:, None] * along[:, None]
+    nearest = zone.distance(points.reshape(-1, 3))[0].reshape(-1, _LOOKS).min(axis=1)
+    return np.asarray(nearest - 0.5 / (_LOOKS - 1) * np.linalg.norm(along, axis=1))
 
 
 def _arm_thing(capsule: Capsule) -> _Thing:
@@ -180,4 +201,4 @@ def _zone_thing(name: str, zone: Zone) -> _Thing:
     hull = Capsule(f"zone {name}", 0, np.stack([zone.position - up, zone.position + up]), radius)
     if not is_box:
         return _Thing(hull, None, None)
-    return _Thing(hull, coal.Box(*zone.size.tolist()), coal.Transform3s(np.eye(3), zone.position))
+    return _Thing(hull, coal.Box(*zone.size.tolist()), coal.Transform3s(np.eye(3), zone.position), zone)

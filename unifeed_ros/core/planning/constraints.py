@@ -49,13 +49,14 @@ class Constraint:
     """True: it holds for the last posture only."""
 
 
-def joined(constraints: tuple[Constraint, ...], pose: ArmPose, velocities: Array) -> Values:
+def joined(constraints: tuple[Constraint, ...], pose: ArmPose, velocities: Array, near: float = NEAR) -> Values:
     """Evaluate constraints and subtract their bounds.
 
     Args:
         constraints: What to evaluate.
         pose: The arm at N postures, of which the last one ends the motion.
         velocities: Joint velocities, shape (N, n) [rad/s].
+        near: Distance over a bound from which on a value may be left out as inf [m].
 
     Returns:
         Values over their bounds, in the constraints' order; feasible where not negative.
@@ -63,7 +64,7 @@ def joined(constraints: tuple[Constraint, ...], pose: ArmPose, velocities: Array
     parts = []
     count, n = velocities.shape
     for one in constraints:
-        values, jacobians, by_rate = one.evaluate(pose, velocities, NEAR)
+        values, jacobians, by_rate = one.evaluate(pose, velocities, near)
         values = values - one.bounds
         if one.at_end:
             values[:-1] = np.inf

@@ -129,8 +129,8 @@ def _search(search: Search, problem: PlanningProblem, starts: Iterable[Array], c
         excess = np.maximum(found.check.position_excess, 0.0)
         if found.check.ok or max(found.check.shortfall, float(excess.max())) <= TOLERANCE or search.has_ended():
             break
-        problem = problem.raised(found.check.shortfalls, excess)
-        search.improve(problem, [problem.within(search.best)])
+        problem = problem.raised(search.best, found.check.shortfalls, excess)
+        search.improve(problem, [problem.within(search.best)], again=True)
         found = _followable(problem, search.best, config)
     return found
 

@@ -9,15 +9,20 @@ import numpy as np
 from unifeed_ros.core.errors import PlanningError
 from unifeed_ros.core.planning.check import MotionBounds
 from unifeed_ros.core.planning.config import PlannerConfig
-from unifeed_ros.core.planning.constraints import joined
+from unifeed_ros.core.planning.constraints import NEAR, joined
 from unifeed_ros.core.planning.qp import QPConstants
 from unifeed_ros.core.planning.sampling import knot_maps, spline_basis
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array
 
 _SMALLEST_SCALE = 1e-9
-_RAISE, _LEAST_RAISE = 1.2, 2e-4
-"""Factor, and least distance, by which a margin grows where a motion missed its bound [1, m]."""
+_RAISE, _LEAST_RAISE = 1.2, 5e-4
+"""Factor, and least distance, by which a margin grows where a motion missed its bound; more than what still counts as
+feasible at a way-point, or nothing would move [1, m]."""
+_SMALL_MARGIN = 0.01
+"""Margin up to which values that are far enough to be left out need not be known [m]."""
+_REACH = 0.2
+"""Largest value over a bound that a way-point beside a missed one counts with [m]."""
 
 
 class StateReward(Protocol):
@@ -119,6 +124,7 @@ class PlanningProblem:
         self._kinematics = bounds.kinematics
         own = np.concatenate([np.full(len(one.names), one.margin) for one in bounds.constraints])
         self._margins = np.tile(own, (self.count, 1)) if margins is None else margins
+        self._near = NEAR + max(0.0, float(self._margins.max(initial=0.0)) - _SMALL_MARGIN)
         self._inset = np.zeros(robot.n) if inset is None else inset
         self.lower, self.upper = bounds.lower + self._inset, bounds.upper - self._inset
         velocity, acceleration = knot_maps(self.count, duration)
@@ -138,10 +144,14 @@ class PlanningProblem:
         self.qp_solver, self.joint_names = config.qp_solver, robot.joint_names
         self.scale = self._spread()
 
-    def raised(self, shortfalls: Array, excess: Array) -> PlanningProblem:
+    def raised(self, waypoints: Array, shortfalls: Array, excess: Array) -> PlanningProblem:
         """Return the problem with larger margins where a motion between its way-points missed bounds.
 
+        Way-points beside a miss have to come farther from the bound than they are: those of a tool that hurries past a
+        corner are all well away from it.
+
         Args:
+            waypoints: The motion's, shape (H, n) [rad].
             shortfalls: Distances below the bounds at K evenly spaced moments, shape (K, P) [m].
             excess: Distances outside the position limits, shape (n,) [rad].
         """
@@ -149,7 +159,10 @@ class PlanningProblem:
         raises = np.zeros(self._margins.shape)
         for shift in (0, 1):  # way-points on both sides
             np.maximum.at(raises, np.minimum(before + shift, self.count - 1), shortfalls)
-        margins = self._margins + np.where(raises > 0, _RAISE * raises + _LEAST_RAISE, 0.0)
+        present = joined(self.bounds.constraints, self._kinematics.evaluate(waypoints), self._velocity @ waypoints,
+                         _REACH).values
+        least = np.where(present < _REACH, np.maximum(present, self._margins), self._margins)
+        margins = np.where(raises > 0, least + _RAISE * raises + _LEAST_RAISE, self._margins)
         inset = self._inset + np.where(excess > 0, _RAISE * excess + _LEAST_RAISE, 0.0)
         return PlanningProblem(*self._arguments, guess=self.aim, margins=margins, inset=inset)
 
@@ -185,7 +198,7 @@ class PlanningProblem:
         """
         pose = self._kinematics.evaluate(waypoints)
         values, gradients = self._reward(pose.states)
-        over = joined(self.bounds.constraints, pose, self._velocity @ waypoints)
+        over = joined(self.bounds.constraints, pose, self._velocity @ waypoints, self._near)
         free = self.free
         to_joints = (gradients[free, None] @ pose.state_jacobians[free])[:, 0]
         accelerations = self._acceleration @ waypoints

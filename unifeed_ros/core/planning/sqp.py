@@ -14,6 +14,7 @@ from unifeed_ros.core.types import Array
 PENALTY = 50.0
 """Cost of a metre below a bound at one way-point, in the reward's spread [1/m]."""
 _FIRST_CURVATURE = 0.5
+"""Curvature of the reward's cost before any is known [1/rad^2]."""
 _SMALLEST_RADIUS = 1e-3
 _POOR = 0.1
 """Share of the expected gain below which a shorter step is tried too: it costs a third of a quadratic programme."""
@@ -22,9 +23,16 @@ _SHORTER = 0.4
 _SHRINK = 0.7
 """Factor of the radius after steps that gained nothing; smaller ones get stuck on ridges before curvature is known."""
 _LARGEST_RADIUS = 0.6
+_LAST = 2
+"""Iterations in a row that gain too little, with which a search ends."""
 
 
-def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evaluation,
+def first_curvature(problem: PlanningProblem) -> Array:
+    """Guess each free way-point's curvature of the reward's cost, shape (m, n, n) [1/rad^2]."""
+    return np.tile(_FIRST_CURVATURE * np.eye(problem.joints), (len(problem.free), 1, 1))
+
+
+def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evaluation, blocks: Array,
                config: PlannerConfig) -> Iterator[Evaluation]:
     """Improve way-points step by step.
 
@@ -35,6 +43,8 @@ def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evalua
         problem: What to solve.
         subproblem: Its quadratic model.
         present: The problem at way-points that keep the linear constraints.
+        blocks: Curvature of the reward's cost for each free way-point, positive definite, shape (m, n, n) [1/rad^2];
+            what is learned of it on the way is written into it.
         config: Settings.
 
     Yields:
@@ -43,8 +53,6 @@ def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evalua
     Raises:
         PlanningError: The reward is not finite.
     """
-    n = problem.joints
-    blocks = np.tile(_FIRST_CURVATURE * np.eye(n), (len(problem.free), 1, 1))
     radius, small = config.trust_radius, 0
     enough = config.tolerance * problem.count
     for _ in range(config.max_iterations):
@@ -52,7 +60,7 @@ def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evalua
         predicted = PENALTY * float(present.shortfalls.sum() - step.shortfalls.sum()) - step.cost
         trial = problem.evaluate(_along(problem, present, step.change))
         ratio = (merit(present) - merit(trial)) / max(predicted, 1e-12)
-        blocks = updated_curvature(blocks, step.change, trial.reward_gradients - present.reward_gradients)
+        blocks[:] = updated_curvature(blocks, step.change, trial.reward_gradients - present.reward_gradients)
         if ratio < _POOR and predicted > enough:
             trial = min(trial, problem.evaluate(_along(problem, present, _SHORTER * step.change)), key=merit)
         achieved, largest = merit(present) - merit(trial), float(np.abs(step.change).max())
@@ -64,7 +72,7 @@ def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evalua
         elif ratio > 0.75 and largest > 0.9 * radius:
             radius = min(2.0 * radius, _LARGEST_RADIUS)
         yield present
-        if small >= 2 or radius < _SMALLEST_RADIUS:
+        if small >= _LAST or radius < _SMALLEST_RADIUS:
             return
 
 
