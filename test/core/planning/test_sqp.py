@@ -11,7 +11,7 @@ from unifeed_ros.baselines.slsqp import solve_with_slsqp
 from unifeed_ros.core.planning.check import motion_bounds
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.problem import PlanningProblem
-from unifeed_ros.core.planning.sqp import first_curvature, iterations, merit, updated_curvature
+from unifeed_ros.core.planning.sqp import first_curvature, iterations, kept_curvature, merit, updated_curvature
 from unifeed_ros.core.planning.starts import StartRepair, straight_line
 from unifeed_ros.core.planning.subproblem import Subproblem
 
@@ -35,7 +35,7 @@ def test_what_was_learned_of_curvature_shortens_the_search_of_nearly_the_same_pr
         missed = np.zeros((100, end.clearances.shape[1]))
         missed[40:60] = 0.005
         raised = problem.raised(end.waypoints, missed, np.zeros(problem.joints))
-        for name, blocks in (("fresh", first_curvature(raised)), ("learned", learned)):
+        for name, blocks in (("fresh", first_curvature(raised)), ("learned", kept_curvature(learned))):
             steps = list(iterations(raised, Subproblem(raised), raised.evaluate(end.waypoints), blocks, config))
             counts[name] += len(steps)
             assert merit(steps[-1]) <= merit(raised.evaluate(end.waypoints))

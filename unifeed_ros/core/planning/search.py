@@ -10,7 +10,7 @@ import numpy as np
 
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.problem import Evaluation, PlanningProblem
-from unifeed_ros.core.planning.sqp import first_curvature, iterations, merit
+from unifeed_ros.core.planning.sqp import first_curvature, iterations, kept_curvature, merit
 from unifeed_ros.core.planning.subproblem import Subproblem
 from unifeed_ros.core.types import Array
 
@@ -92,7 +92,7 @@ class Search:
         for start in starts:
             first = problem.evaluate(start)
             self._keep(first)
-            blocks = first_curvature(problem) if known is None else known.copy()
+            blocks = first_curvature(problem) if known is None else kept_curvature(known)
             runs.append(_Run(first, blocks, iterations(problem, subproblem, first, blocks, self._config)))
             if self.has_ended() or not self._go_on(problem, runs[-1]):
                 return

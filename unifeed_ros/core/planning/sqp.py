@@ -15,6 +15,8 @@ PENALTY = 50.0
 """Cost of a metre below a bound at one way-point, in the reward's spread [1/m]."""
 _FIRST_CURVATURE = 0.5
 """Curvature of the reward's cost before any is known [1/rad^2]."""
+_KEPT_CURVATURES = 0.1, 100.0
+"""Smallest and largest curvature that the next problem starts with: a ridge that was crossed is not met again."""
 _SMALLEST_RADIUS = 1e-3
 _POOR = 0.1
 """Share of the expected gain below which a shorter step is tried too: it costs a third of a quadratic programme."""
@@ -30,6 +32,12 @@ _LAST = 2
 def first_curvature(problem: PlanningProblem) -> Array:
     """Guess each free way-point's curvature of the reward's cost, shape (m, n, n) [1/rad^2]."""
     return np.tile(_FIRST_CURVATURE * np.eye(problem.joints), (len(problem.free), 1, 1))
+
+
+def kept_curvature(blocks: Array) -> Array:
+    """Take over what was learned of curvature into a search of nearly the same problem, shape (m, n, n) [1/rad^2]."""
+    values, axes = np.linalg.eigh(blocks)
+    return np.asarray((axes * np.clip(values, *_KEPT_CURVATURES)[:, None]) @ axes.transpose(0, 2, 1))
 
 
 def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evaluation, blocks: Array,
