@@ -74,7 +74,9 @@ def _add_reward_options(parser: argparse.ArgumentParser) -> None:
 
 def _add_planner_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robot", action="append", help="only this robot (may be repeated; default: panda, ur10)")
-    parser.add_argument("--task", help="only this task (default: table, laptop, cup)")
+    parser.add_argument("--task", action="append", help="only this task (may be repeated; default: table, laptop, cup)")
+    parser.add_argument("--waypoints", type=int, action="append", metavar="H",
+                        help="only this number of way-points (may be repeated; default: 20, 40)")
     parser.add_argument("--pairs", type=int, default=50, help="start-goal pairs a task (default: 50)")
     parser.add_argument("--peer-pairs", type=int, default=5,
                         help="pairs that the other solvers and SLSQP with exact gradients solve too (default: 5)")
@@ -86,8 +88,18 @@ def _add_planner_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--zones", action="store_true",
                         help="a laptop's box and a person's capsule that the whole arm keeps out of; plans are checked "
                              "with the arm's meshes too")
+    parser.add_argument("--places", action="store_true",
+                        help="the same, at other random places in each problem; some cannot be solved then")
+    parser.add_argument("--limits", action="store_true",
+                        help="a cone, a slow zone, a speed and a workspace that the tool keeps to")
     parser.add_argument("--peer-limit", type=float, default=60.0,
-                        help="processor time after which SLSQP is ended [s] (default: 60)")
+                        help="processor time after which SLSQP is ended; its times are lower bounds then [s] "
+                             "(default: 60)")
+    parser.add_argument("--results", type=Path, metavar="FILE",
+                        help="keep each problem's figures in this file, and go on from what it holds already")
+    parser.add_argument("--action", type=int, default=0, metavar="N",
+                        help="instead of all that: cancel N goals of the running node at random moments (needs a free "
+                             "ROS_DOMAIN_ID)")
 
 
 def _add_context_options(parser: argparse.ArgumentParser) -> None:
