@@ -1,50 +1,79 @@
-"""The planner's benchmark: its own check of motions, and its figures."""
+"""The planner's benchmark: its table, and a run that is gone on with."""
 
 from __future__ import annotations
 
-import numpy as np
+import json
+
 import pytest
 
-from unifeed_ros.baselines.slsqp import SlsqpResult
-from unifeed_ros.cli.bench_planner import _line, _summary, _violation
-from unifeed_ros.core.planning.check import motion_bounds
-from unifeed_ros.core.planning.plan import PlannerConfig, plan_motion
-from unifeed_ros.core.planning.problem import PlanningProblem
-from unifeed_ros.core.robot import RobotModel, load_robot
-from unifeed_ros.core.scene import load_scene
-from unifeed_ros.resources import config_path
-from unifeed_ros.simulation.tasks import endpoints
+from unifeed_ros.cli.arguments import UserMistake
+from unifeed_ros.cli.bench_planner import SETTINGS, run
+from unifeed_ros.cli.main import build_parser
+from unifeed_ros.cli.planner_table import SUMMARY, describe, summarise
 
 
-def test_the_independent_check_finds_what_a_shorter_duration_breaks():
-    robot, scene = RobotModel(load_robot(config_path("robots", "panda"))), load_scene(config_path("tasks", "table"))
-    start, goal = endpoints(robot, scene)
-    config = PlannerConfig(time_budget=60.0, starts=1)
-    bounds = motion_bounds(robot, scene, start, goal, config)
-    for duration, broken in ((3.0, False), (1.0, True)):
-        problem = PlanningProblem(robot, None, start, goal, 3.0, bounds, config)
-        plan = plan_motion(robot, None, start, goal, duration=3.0, scene=scene, config=config)
-        hurried = plan.trajectory.__class__(
-            joint_names=plan.trajectory.joint_names, times=plan.trajectory.times * duration / 3.0,
-            positions=plan.trajectory.positions)
-        found = _violation(robot, scene, problem, hurried, plan.waypoints)
-        assert (found > 0.5) if broken else (found < 1e-3)
+def figures(seconds, **more):
+    return {"seconds": seconds, "solved": seconds < 0.3, "floor": 0.01, "iterations": 9, "message": "late",
+            "excess": {"velocity": seconds / 100, "cone": 0.0}, "first": seconds / 10, "first_share": seconds,
+            "touching": 0, "cancel": seconds / 20, **more}
+
+
+def peer(seconds, converged=True, gap=0.01):
+    return {"seconds": seconds, "converged": converged, "gap": gap}
 
 
 def test_summary_takes_medians_and_counts():
-    peers = {name: SlsqpResult(np.zeros((2, 1)), seconds, seconds < 5.0) for name, seconds in
-             (("exact", 2.0), ("fd", 8.0))}
-    problems = [{"seconds": s, "piqp_s": s, "solved": s < 0.3, "floor": 0.01, "violation": s / 100,
-                 "first": s / 10, "first_share": s, "touching": 0, "cancel": s / 20, "message": "late"} for s in
-                (0.1, 0.2, 0.3)]
-    problems[1] |= {**peers, "gap": 0.01, "own_s": 0.4, "osqp_s": 1.0}
-    problems[0] |= {"halved_share": 1.5, "halved_gain": 0.001, "full_share": 4.0, "full_gain": 0.002}
-    summary = _summary(problems)
-    assert (summary["median_s"], summary["own_s"], summary["solved"], summary["problems"]) == (0.2, 0.4, 2, 3)
+    problems = [figures(0.1, halved_share=1.5, halved_gain=0.001, full_share=4.0, full_gain=0.002),
+                figures(0.2, exact=peer(2.0), fd=peer(8.0, converged=False), own_s=0.4, piqp_s=0.2, osqp_s=1.0),
+                figures(0.3)]
+    summary, details = summarise(problems)
+    assert tuple(summary) == SUMMARY
+    assert (summary["median_s"], details["own_s"], summary["solved"], summary["problems"]) == (0.2, 0.4, 2, 3)
     assert (summary["ratio_exact"], summary["ratio_fd"]) == pytest.approx((10.0, 40.0))
-    assert (summary["slsqp_exact_converged"], summary["slsqp_fd_converged"], summary["fd_problems"]) == (1, 0, 1)
-    assert (summary["first_feasible_s"], summary["touching"], summary["failures"]) == (pytest.approx(0.02), 0, ["late"])
-    assert (summary["first_feasible_share"], summary["cancel_worst_s"]) == (0.2, pytest.approx(0.015))
-    assert summary["worst_violation"] == pytest.approx(0.003)
-    line = _line({"robot": "panda", "task": "table", "waypoints": 20, **summary})
-    assert "x40" in line and "halved x1.50 of the time, objective +0.100%, full x4.00" in line
+    assert (details["exact_converged"], details["fd_converged"], details["fd_problems"]) == (1, 0, 1)
+    assert (details["first_feasible_s"], details["touching"], details["failures"]) == (
+        pytest.approx(0.02), 0, ["late"])
+    assert (details["first_feasible_share"], details["cancel_worst_s"]) == (0.2, pytest.approx(0.015))
+    assert summary["worst_violation"] == details["excess"]["velocity"] == pytest.approx(0.003)
+    line = describe("panda table 20", summary, details)
+    assert "SLSQP fd > 8.0 s (x > 40, converged 0/1)" in line and "SLSQP exact 2.0 s (x 10, converged 1/1)" in line
+    assert "halved x1.50 of the time, objective +0.100%" in line
+
+
+def test_a_median_is_a_bound_only_where_an_ended_peer_can_move_it():
+    for last_converged, second_converged, bound in ((True, True, False), (False, True, False), (False, False, True)):
+        problems = [figures(0.1, exact=peer(1.0)), figures(0.1, exact=peer(2.0, second_converged)),
+                    figures(0.1, exact=peer(3.0, last_converged, gap=9.0))]
+        summary, details = summarise(problems)
+        assert summary["slsqp_exact_s"] == 2.0 and details["slsqp_exact_is_bound"] is bound
+        assert (summary["objective_gap_p95"] < 0.02) is not last_converged  # of those that converged alone
+    summary, details = summarise([figures(0.1)])
+    assert summary["slsqp_fd_s"] is None and summary["objective_gap_p95"] is None
+    assert "SLSQP" not in describe("ur10 cup 40", summary, details)
+
+
+def test_a_run_in_random_places_is_gone_on_with(tmp_path, capsys):
+    file = tmp_path / "results.jsonl"
+    options = build_parser().parse_args([
+        "bench", "planner", "--robot", "panda", "--task", "laptop", "--waypoints", "20", "--places", "--peer-pairs",
+        "0", "--json", "--results", str(file), "--pairs", "3"])
+    settings = {name: getattr(options, name) for name in SETTINGS}
+    known = {"problem": "panda laptop 20 0", **figures(0.001)}
+    before = f"{json.dumps(settings)}\n{json.dumps(known)}\n"
+    file.write_text(before + '{"problem": "panda lap')  # interrupted
+    assert run(options) == 1  # the made-up one exceeds a limit
+    after = file.read_text()
+    assert after.startswith(before) and len(after.splitlines()) == 4
+    table = json.loads(capsys.readouterr().out)
+    (row,), (details,) = table["summary"], table["details"]
+    assert set(row) == {"robot", "task", "waypoints", *SUMMARY}
+    assert row["problems"] == 3 and row["solved"] > 1 and details["touching"] == 0
+    assert row["worst_violation"] == details["excess"]["velocity"] == 0.001 / 100
+    assert max(excess for limit, excess in details["excess"].items() if limit != "velocity") <= 1e-6
+    assert run(options) == 1 and file.read_text() == after
+    options.starts = 2
+    with pytest.raises(UserMistake, match="other options"):
+        run(options)
+    file.write_text("no JSON\n")
+    with pytest.raises(UserMistake, match="cannot be read"):
+        run(options)
