@@ -16,7 +16,7 @@ from rclpy.action import ActionClient
 from session_helpers import session_files
 
 from unifeed_msgs.action import OptimizeTrajectory
-from unifeed_msgs.msg import Cone, RewardModel, Zone
+from unifeed_msgs.msg import Cone, RewardModel, TaskContext, Zone
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
 from unifeed_ros.core.reward.inputs import input_names
 from unifeed_ros.core.robot import RobotModel, load_robot
@@ -99,6 +99,28 @@ def test_what_a_request_asks_of_its_motion_holds(plan, files):
     placed, status = plan(goal_kind="position")
     end = robot.tool_states(np.array(placed.trajectory.points[-1].positions)[None])[0, :3]
     assert status == SUCCEEDED and np.abs(end - scene.goal).max() < 2e-3, placed.message
+    posed, status = plan(goal_kind="pose")
+    end = robot.tool_states(np.array(posed.trajectory.points[-1].positions)[None])[0]
+    assert status == SUCCEEDED and np.abs(end - [*scene.goal, *scene.axis]).max() < 2e-3, posed.message
+    assert plan(goal_kind="free")[1] == SUCCEEDED
+
+    goal = Point(**dict(zip("xyz", map(float, scene.goal), strict=True)))
+    careful = Zone(name="careful", shape="sphere", position=goal, size=[0.15], speed=0.2)
+    calm, status = plan(zones=[careful], duration=5.0)
+    moved = trajectory_from_msg(calm.trajectory)
+    tool = robot.tool_states(moved.positions)[:, :3]
+    speeds = np.linalg.norm(np.diff(tool, axis=0), axis=1) / np.diff(moved.times)
+    inside = np.linalg.norm(0.5 * (tool[1:] + tool[:-1]) - scene.goal, axis=1) < 0.149
+    assert status == SUCCEEDED and inside.any() and speeds[inside].max() < 0.2 < speeds.max(), calm.message
+
+    soft, status = plan(jerk_limit=20.0)
+    moved = trajectory_from_msg(soft.trajectory)
+    jerks = np.diff(moved.accelerations, axis=0) / np.diff(moved.times)[:, None]
+    assert status == SUCCEEDED and np.abs(jerks).max() < 20.0 * (1 + 1e-5), soft.message
+
+    hurried, status = plan(time_budget=1e-6, waypoints=100)
+    assert status == SUCCEEDED and hurried.success and hurried.status == "time_budget", hurried.message
+    assert "best so far" in hurried.message and len(hurried.trajectory.points) == len(plain.trajectory.points)
     again, status = plan()
     assert status == SUCCEEDED and len(again.trajectory.points) == len(plain.trajectory.points)  # nothing was kept
 
@@ -124,6 +146,10 @@ def test_requests_that_contradict_themselves_are_refused_with_a_sentence(plan, f
         ({"duration": -1.0}, "duration"),
         ({"duration": 0.2}, "too far apart"),
         ({"start": [float("nan")] * robot.n}, "start"),
+        ({"start": [9.0] * robot.n}, "outside its limits"),
+        ({"start": posture[:-1]}, "start"),
+        ({"context": TaskContext(task=scene.task, goal=Point(x=3.0, z=0.5))}, "reach"),
+        ({"waypoints": 2}, "waypoints"),
         ({"cones": [Cone(name="side", direction=Vector3(x=1.0), angle=0.1)]}, "cone side"),
     ):
         result, status = plan(**request)
@@ -156,6 +182,7 @@ def test_a_model_that_does_not_fit_is_refused_and_kappa_counts(plan, files, ros_
     mean, status = plan()
     wary, other = plan(kappa=[5.0])
     assert (status, other, mean.model_version) == (SUCCEEDED, SUCCEEDED, 7)
+    assert len(mean.reward) == len(mean.disagreement) == 20 and min(mean.disagreement) > 0.0
     assert doubt(model, files, wary.trajectory) < doubt(model, files, mean.trajectory)
 
 

@@ -110,6 +110,15 @@ def test_too_short_a_duration_is_lengthened_and_said(case):
     assert result.trajectory.duration > 1.8
 
 
+def test_what_way_points_cannot_keep_is_slowed_down_first(case):
+    """The tool would have to cover the way in less time than its speed allows."""
+    scene = replace(case.scene, tool_speed=0.25)
+    result = plan(case, None, scene=scene)
+    assert result.success and "slowed down from 3.00 s" in result.message
+    assert 3.0 < result.trajectory.duration <= 3.0 * CONFIG.max_slowdown
+    assert 0.2 < _dense(case, result)[1].max() <= 0.25 + 1e-5
+
+
 @pytest.mark.parametrize(("changes", "error", "text"), [
     ({"duration": 0.3}, PlanningError, r"too far apart.*s or more, got 0\.30 s"),
     ({"duration": -1.0}, PlanningError, "duration"),
