@@ -47,6 +47,8 @@ def test_a_median_is_a_bound_only_where_an_ended_peer_can_move_it():
         summary, details = summarise(problems)
         assert summary["slsqp_exact_s"] == 2.0 and details["slsqp_exact_is_bound"] is bound
         assert (summary["objective_gap_p95"] < 0.02) is not last_converged  # of those that converged alone
+        assert details["objective_gap_of_ended"] == (None if last_converged and second_converged else
+                                                     0.01 if last_converged else 9.0)
     summary, details = summarise([figures(0.1)])
     assert summary["slsqp_fd_s"] is None and summary["objective_gap_p95"] is None
     assert "SLSQP" not in describe("ur10 cup 40", summary, details)

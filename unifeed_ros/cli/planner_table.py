@@ -24,10 +24,11 @@ def summarise(problems: Sequence[Figures]) -> tuple[Figures, Figures]:
 
     Returns:
         The summary, and details. What nothing was measured for is None. Objectives are compared where SLSQP with exact
-        gradients converged.
+        gradients converged; details hold the largest gap to what it had where it was ended.
     """
     seconds = np.array([p["seconds"] for p in problems])
-    converged = [p["exact"]["gap"] for p in problems if "exact" in p and p["exact"]["converged"]]
+    gaps = {converged: [p["exact"]["gap"] for p in problems if "exact" in p and p["exact"]["converged"] is converged]
+            for converged in (True, False)}
     exceeding = [max(p["excess"].values()) for p in problems if p["excess"]]
     summary: Figures = {"median_s": float(np.median(seconds)), "p95_s": float(np.percentile(seconds, 95))}
     details: Figures = {f"{solver}_s": _median([p[f"{solver}_s"] for p in problems if f"{solver}_s" in p])
@@ -43,10 +44,11 @@ def summarise(problems: Sequence[Figures]) -> tuple[Figures, Figures]:
         details[f"{name}_problems"], details[f"{name}_converged"] = len(peers), len(peers) - sum(ended)
     summary.update(
         floor_s=_median([p["floor"] for p in problems]), worst_violation=max(exceeding, default=0.0),
-        objective_gap_p95=float(np.percentile(converged, 95)) if converged else None,
+        objective_gap_p95=float(np.percentile(gaps[True], 95)) if gaps[True] else None,
         solved=sum(p["solved"] for p in problems), problems=len(problems))
     details.update(
-        objective_gap_worst=max(converged, default=None), iterations=_median([p["iterations"] for p in problems]),
+        objective_gap_worst=max(gaps[True], default=None),
+        objective_gap_of_ended=max(gaps[False], default=None), iterations=_median([p["iterations"] for p in problems]),
         excess={limit: max(p["excess"].get(limit, 0.0) for p in problems)
                 for limit in dict.fromkeys(name for p in problems for name in p["excess"])},
         touching=sum(p["touching"] > 0 for p in problems),
@@ -86,6 +88,8 @@ def describe(where: str, summary: Figures, details: Figures) -> str:
                          f"{details[f'{name}_problems']})")
     if summary["objective_gap_p95"] is not None:
         parts.append(f"gap p95 {summary['objective_gap_p95']:+.2%}, worst {details['objective_gap_worst']:+.2%}")
+    if details["objective_gap_of_ended"] is not None:
+        parts.append(f"gap to SLSQP where it was ended at worst {details['objective_gap_of_ended']:+.2%}")
     return ", ".join(parts)
 
 
