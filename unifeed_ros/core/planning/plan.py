@@ -13,7 +13,7 @@ from unifeed_ros.core.errors import PlanningError
 from unifeed_ros.core.planning.check import TOLERANCE, MotionBounds, MotionCheck, check_motion, motion_bounds
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.goals import ToolGoal
-from unifeed_ros.core.planning.problem import PlanningProblem, StateReward
+from unifeed_ros.core.planning.problem import Evaluation, PlanningProblem, StateReward
 from unifeed_ros.core.planning.sampling import sample_spline, shortest_duration
 from unifeed_ros.core.planning.search import PlanProgress, Search, Status
 from unifeed_ros.core.planning.starts import StartRepair, start_motions
@@ -116,7 +116,7 @@ class _Found(NamedTuple):
     """The best way-points of a search, and the motion through them."""
 
     problem: PlanningProblem
-    waypoints: Array
+    at: Evaluation
     trajectory: Trajectory
     check: MotionCheck
 
@@ -129,8 +129,8 @@ def _search(search: Search, problem: PlanningProblem, starts: Iterable[Array], c
         excess = np.maximum(found.check.position_excess, 0.0)
         if found.check.ok or max(found.check.shortfall, float(excess.max())) <= TOLERANCE or search.has_ended():
             break
-        problem = problem.raised(search.best, found.check.shortfalls, excess)
-        search.improve(problem, [problem.within(search.best)], again=True)
+        problem = problem.raised(search.best.waypoints, found.check.shortfalls, excess)
+        search.improve(problem, [problem.within(search.best.waypoints)], again=True)
         found = _followable(problem, search.best, config)
     return found
 
@@ -167,15 +167,15 @@ def _feasible_problem(robot: RobotModel, reward: StateReward | None, start: Arra
                         mend="allow more time, or more way-points")
 
 
-def _followable(problem: PlanningProblem, waypoints: Array, config: PlannerConfig) -> _Found:
+def _followable(problem: PlanningProblem, at: Evaluation, config: PlannerConfig) -> _Found:
     """Sample way-points, and slow them down where that keeps the limits of speed, acceleration and jerk."""
-    duration = problem.duration
+    waypoints, duration = at.waypoints, problem.duration
     check = _checked(problem, waypoints, duration, config)
     if not check.ok and 1.0 < check.slowdown <= config.max_slowdown:
         duration *= check.slowdown
         check = _checked(problem, waypoints, duration, config)
     motion = sample_spline(waypoints, duration, problem.joint_names, config.sample_rate)
-    return _Found(problem, waypoints, motion, check)
+    return _Found(problem, at, motion, check)
 
 
 def _checked(problem: PlanningProblem, waypoints: Array, duration: float, config: PlannerConfig) -> MotionCheck:
@@ -185,7 +185,7 @@ def _checked(problem: PlanningProblem, waypoints: Array, duration: float, config
 
 def _plan(search: Search, found: _Found, wanted: float) -> Plan:
     """Say how it went."""
-    problem, waypoints, trajectory, check = found
+    problem, at, trajectory, check = found
     success = check.ok and search.status != "canceled"
     status = search.status if check.ok or search.status == "canceled" else "infeasible"
     message = {
@@ -196,6 +196,6 @@ def _plan(search: Search, found: _Found, wanted: float) -> Plan:
     }[status]
     if success and wanted and trajectory.duration > wanted * (1 + 1e-9):
         message += f"; slowed down from {wanted:.2f} s to {trajectory.duration:.2f} s to keep the limits"
-    return Plan(trajectory=trajectory, waypoints=waypoints, status=status, success=success, message=message,
-                objective=-problem.scale * problem.evaluate(waypoints).cost, violation=check.shortfall,
+    return Plan(trajectory=trajectory, waypoints=at.waypoints, status=status, success=success, message=message,
+                objective=-problem.scale * at.cost, violation=check.shortfall,
                 iterations=search.count, seconds=search.seconds, first_feasible=search.first_feasible)

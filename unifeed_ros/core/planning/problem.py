@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -40,7 +42,8 @@ class StateReward(Protocol):
         ...
 
 
-class Evaluation(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
     """Everything that one iteration needs to know at way-points Q."""
 
     waypoints: Array
@@ -58,12 +61,12 @@ class Evaluation(NamedTuple):
     rate_jacobians: Array | None
     """Their derivatives by the joint velocities, shape (m, P, n) [m s/rad]; None: none depends on them."""
 
-    @property
+    @cached_property
     def shortfalls(self) -> Array:
         """Largest distance below a bound at each free way-point, shape (m,) [m]."""
         return np.maximum(-self.clearances.min(axis=1), 0.0)
 
-    @property
+    @cached_property
     def violation(self) -> float:
         """Largest distance below a bound [m]."""
         return float(self.shortfalls.max())

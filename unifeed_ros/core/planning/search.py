@@ -54,10 +54,10 @@ class Search:
         self.first_feasible = float("nan")
 
     @property
-    def best(self) -> Array:
-        """The best way-points so far, feasible ones before others, shape (H, n) [rad]."""
+    def best(self) -> Evaluation:
+        """The problem at the best way-points so far, feasible ones before others."""
         assert self._best is not None, "improve comes first"
-        return self._best.waypoints
+        return self._best
 
     @property
     def seconds(self) -> float:
