@@ -41,6 +41,8 @@ def run(options: argparse.Namespace) -> int:
     Returns:
         0 if nothing touches anything, no limit is exceeded and, where places are not random, all are solved.
     """
+    if min(options.pairs, options.starts) < 1 or min(options.action, options.peer_pairs, options.fd_pairs) < 0:
+        raise UserMistake("bench planner", expected="--pairs and --starts 1 or more, no negative numbers")
     if options.action:
         from unifeed_ros.cli.planner_action import run_action
 
