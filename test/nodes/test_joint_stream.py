@@ -83,7 +83,7 @@ def test_big_endian_messages_are_read():
     (message(("a", "a", "joint_2", "schulter ö")), "repeat"),
     (message(effort=[1.0, 2.0]), "number of pushes: expected 3, got 2"),
     (message(), "number of pushes: expected 3, got 0"),
-    (message(effort=[1.0, float("nan"), 2.0]), "pushes are not finite"),
+    (message(effort=[1.0, float("nan"), 2.0]), "pushes are not finite: got NaN or inf at joint_2"),
     (message(effort=[1.0, float("inf"), float("-inf")]), "pushes are not finite"),
 ])
 def test_what_cannot_be_used_is_refused(msg, words):

@@ -12,7 +12,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,10 @@ from unifeed_ros.cli.arguments import UserMistake, domain, prepare_folder, sessi
 from unifeed_ros.cli.faulty_wire import FAULTS
 from unifeed_ros.cli.monitor import SessionMonitor
 from unifeed_ros.cli.processes import NodeProcesses, node_environment
+from unifeed_ros.core.control.safety import LONGEST_TICK
+from unifeed_ros.core.recording import bag_info, read_bag
+from unifeed_ros.core.robot import load_robot
+from unifeed_ros.nodes.joint_stream import JointReader
 from unifeed_ros.nodes.table import NodeSpec, SessionSetup, node_table
 from unifeed_ros.nodes.topics import subscriber_qos
 
@@ -36,6 +41,8 @@ START_S, MOTION_S = 300.0, 60.0
 """Longest waits for a session that gets ready, and for a motion that begins [s]."""
 MENDED = "mended"
 """Mark where a fault ends."""
+SHORTEST_TICK = 0.002
+"""Time between two commands at 500 Hz [s]."""
 BROKEN_S = 1.0
 """How long the wire stays broken [s]."""
 NOTICED_S = 12.0
@@ -52,19 +59,19 @@ class Tries:
     """Time from when the fault showed to the stop [s]; as many as the arm was stopped."""
     stills: list[float] = field(default_factory=list)
     """Time from when the fault showed until the arm's joints were slower than 0.1 rad/s [s]."""
-    steps: list[float] = field(default_factory=list)
-    """Largest step between two torque commands [Nm]."""
     messages: list[str] = field(default_factory=list)
     """What was said."""
     kept: int = 0
     """Tries after which everything that was taught was still there."""
+    invented: int = 0
+    """Inputs that nobody gave: taken from the fault."""
 
     def row(self, name: str) -> dict[str, Any]:
         """Give the figures of the fault."""
         return {"fault": name, "tries": len(self.messages), "stopped": len(self.stops),
                 "stop_max_s": max(self.stops, default=float("nan")),
                 "still_max_s": max(self.stills, default=float("nan")),
-                "torque_step_max": max(self.steps, default=float("nan")), "kept": self.kept,
+                "kept": self.kept, "invented": self.invented,
                 "messages": sorted(set(self.messages))}
 
 
@@ -85,6 +92,8 @@ def run(options: argparse.Namespace) -> int:
         with _Wire(setup, out) as wire, NodeProcesses(specs, out / "logs") as processes:
             trial = _Trial(monitor, processes, wire)
             rows = [trial.tries(name, options.tries, np.random.default_rng(options.seed)) for name in chosen]
+    rates = largest_rates(out / "bag", load_robot(setup.parameter_files[0]).joint_names)
+    rows = [{**row, "torque_rate_max": rates.get(row["fault"], float("nan"))} for row in rows]
     table = {"machine": {"cpus": os.cpu_count(), "load": os.getloadavg()[0]}, "faults": rows}
     (out / "faults.json").write_text(json.dumps(table, indent=2) + "\n")
     print(json.dumps(table, indent=2) if options.json else markdown(rows))
@@ -102,11 +111,50 @@ def _changed(spec: NodeSpec) -> NodeSpec:
 
 def markdown(rows: list[dict[str, Any]]) -> str:
     """Write the table."""
-    lines = ["| fault | tries | stopped | latest stop [s] | latest rest [s] | largest torque step [Nm] | taught things "
-             "kept | says |", "| --- " * 8 + "|"]
+    lines = ["| fault | tries | stopped | latest stop [s] | latest rest [s] | largest torque rate [Nm/s] "
+             "| taught things kept | learned from it | says |", "| --- " * 9 + "|"]
     lines += [f"| {r['fault']} | {r['tries']} | {r['stopped']} | {r['stop_max_s']:.3f} | {r['still_max_s']:.2f} | "
-              f"{r['torque_step_max']:.2f} | {r['kept']} | {' / '.join(r['messages'])} |" for r in rows]
+              f"{r['torque_rate_max']:.0f} | {r['kept']} | {r['invented']} | {' / '.join(r['messages'])} |"
+              for r in rows]
     return "\n".join(lines)
+
+
+def largest_rates(bag: Path, joint_names: Sequence[str]) -> dict[str, float]:
+    """Give the fastest change of the recorded torque commands, from each fault's mark to the next fault's [Nm/s].
+
+    Args:
+        bag: Recording with a mark where each fault begins.
+        joint_names: Names of the arm's joints.
+    """
+    begins = [(time, text) for time, text in bag_info(bag).marks if text != MENDED]
+    reader, rates = JointReader(joint_names), dict.fromkeys((text for _, text in begins), 0.0)
+    last: tuple[float, np.ndarray] | None = None
+    for message in read_bag(bag, ["/joint_command"]):
+        stamp, torque = reader.torques(message.data, "commands")
+        command = stamp, np.array(torque)
+        at = bisect_right(begins, message.time, key=lambda begin: begin[0])
+        if last is not None and at:
+            name = begins[at - 1][1]
+            rates[name] = max(rates[name], torque_rate(last, command))
+        last = command
+    return rates
+
+
+def torque_rate(before: tuple[float, np.ndarray], after: tuple[float, np.ndarray]) -> float:
+    """Give the largest change of a torque from one command to the next.
+
+    The time between them counts as the controller's rate limit counts it: at most LONGEST_TICK, here at least a period
+    of commands, so that commands that come in one burst, or with stamps that leap, have a rate.
+
+    Args:
+        before: Stamp [s] and torques, shape (n,) [Nm].
+        after: Those of the next command.
+
+    Returns:
+        Rate [Nm/s].
+    """
+    dt = min(max(after[0] - before[0], SHORTEST_TICK), LONGEST_TICK)
+    return float(np.abs(after[1] - before[1]).max()) / dt
 
 
 class _Wire:
@@ -158,6 +206,7 @@ class _Trial:
         tries = Tries()
         for k in range(count):
             self._recover()
+            before = self._taught()
             self._call("run")
             self._await(lambda: self._teaching.mode == TeachingState.TRACK and self._teaching.motion_id.startswith(
                 "run"), MOTION_S, f"{name}: no motion began")
@@ -166,7 +215,9 @@ class _Trial:
             (self._kill if name.startswith("kill") else self._break)(name, tries)
             self._mark(MENDED)
             self._recover()
-            tries.kept += self._taught() > 0
+            after = self._taught()
+            tries.kept += before <= after
+            tries.invented += len(after - before)
             print(f"{name} {k + 1}/{count}: {tries.messages[-1]}", file=sys.stderr, flush=True)
         return tries.row(name)
 
@@ -182,7 +233,6 @@ class _Trial:
             tries.stops.append(report["stop_s"])
         if report["still_s"] is not None:
             tries.stills.append(report["still_s"])
-        tries.steps.append(report["torque_step"])
         tries.messages.append(report["message"] or f"goes on: {self._teaching.message}")
 
     def _kill(self, name: str, tries: Tries) -> None:
@@ -194,23 +244,24 @@ class _Trial:
             self._monitor.spin(BROKEN_S)
             tries.messages.append("no commands: the arm holds itself")
         else:
-            stopped = self._monitor.spin(NOTICED_S, lambda: self._teaching.mode == TeachingState.STOPPED)
-            if stopped:
+            if self._monitor.spin(NOTICED_S, lambda: self._teaching.mode == TeachingState.STOPPED):
                 tries.stops.append(time.monotonic() - at)
+                self._monitor.spin(1.0, lambda: self._monitor.lesson.phase == LessonState.FAULT)  # on another topic
             tries.messages.append(self._teaching.message if victim == "session" else self._monitor.lesson.message)
         self._processes.start_again(victim)
 
     def _recover(self) -> None:
-        """Reset until the session is ready again."""
+        """Wait until the session is ready again; reset one that waits for it, never one that is on its way."""
         deadline = time.monotonic() + START_S
         while not self._monitor.spin(5.0, self._ready):
             if time.monotonic() > deadline:
                 raise UserMistake("the session did not recover", got=self._monitor.lesson.message)
-            self._call("reset")
+            if self._monitor.lesson.phase in (LessonState.FAULT, LessonState.PAUSED):
+                self._call("reset")
 
-    def _taught(self) -> int:
+    def _taught(self) -> set[str]:
         answer = self._ask(self._list, ListFeedback.Request())
-        return len(answer.ids) if answer is not None else 0
+        return set(answer.ids) if answer is not None else set()
 
     def _mark(self, text: str) -> None:
         self._ask(self._marks, Mark.Request(text=text))

@@ -46,11 +46,9 @@ class FaultyWire(UnifeedNode):
         self._states, self._torques = JointReader(names), JointReader(names)
         self._state_writer = JointWriter(names, ("position", "velocity"))
         self._torque_writer = JointWriter(names, ("effort",))
-        self._commands = JointReader(names)
         self._fault, self._since = "", 0.0
         self._frozen: RobotState | None = None
         self._held: deque[tuple[float, bytes]] = deque()
-        self._last_torque: np.ndarray | None = None
         self._mode = TeachingState.INACTIVE
         self._clear()
         for name, pass_on in (("joint_states", self._on_state), ("external_torques", self._on_torque)):
@@ -72,15 +70,15 @@ class FaultyWire(UnifeedNode):
         self._visible: float | None = None
         self._stopped: float | None = None
         self._moving = 0.0
-        self._largest_step, self._message = 0.0, ""
+        self._message = ""
 
     def _on_fault(self, msg: String) -> None:
         if self._fault and not msg.data:
             print(json.dumps({
                 "fault": self._fault, "message": self._message,
                 "stop_s": None if self._stopped is None or self._visible is None else self._stopped - self._visible,
-                "still_s": None if self._visible is None else max(0.0, self._moving - self._visible),
-                "torque_step": self._largest_step}), flush=True)
+                "still_s": None if self._visible is None else max(0.0, self._moving - self._visible)}),
+                flush=True)
         if msg.data and not self._fault:
             self._clear()
         self._fault, self._since, self._frozen = msg.data, time.monotonic(), None
@@ -136,10 +134,6 @@ class FaultyWire(UnifeedNode):
         send(self._torque_writer.write(stamp, torque))
 
     def _on_command(self, data: bytes, send: Callable[[bytes], None]) -> None:
-        torque = self._commands.torques(data, "commands")[1]
-        if self._last_torque is not None:
-            self._largest_step = max(self._largest_step, float(np.abs(torque - self._last_torque).max()))
-        self._last_torque = np.array(torque)
         if self._fault == "network cut":
             return
         if self._fault == "commands 50 ms late":

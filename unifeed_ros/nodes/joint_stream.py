@@ -130,7 +130,8 @@ class JointReader:
             raise InputError(f"number of {what}", expected=self._count, got=len(values))
         ordered = values if self._index is None else values[self._index]
         if not math.isfinite(sum(ordered.tolist())) and not np.isfinite(ordered).all():
-            raise InputError(f"{what} are not finite", got=ordered.tolist())
+            broken = [self._names[k] for k in np.flatnonzero(~np.isfinite(ordered))]
+            raise InputError(f"{what} are not finite", got=f"NaN or inf at {', '.join(broken)}")
         return ordered
 
 

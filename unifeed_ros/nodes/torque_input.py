@@ -9,6 +9,7 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
 from unifeed_ros.core.capture.external_torque import FIELD, MOMENTUM, WRENCH, ExternalTorqueConfig, make_converter
+from unifeed_ros.core.capture.stuck import StuckTorque
 from unifeed_ros.core.errors import ConfigError, UnifeedError
 from unifeed_ros.core.robot import RobotModel
 from unifeed_ros.core.types import Array, RobotState
@@ -41,7 +42,7 @@ class TorqueInput:
                  refuse: Callable[[str], None], depth: int | None = None) -> None:
         self._config = config = settings(node, "external_torque", ExternalTorqueConfig)
         self._robot, self._deliver, self._refuse = robot, deliver, refuse
-        self._convert = make_converter(robot, config)
+        self._convert, self._stuck = make_converter(robot, config), StuckTorque(robot)
         self._reader = JointReader(robot.joint_names)
         self._state: RobotState | None = None
         qos = subscriber_qos("external_torques", depth)
@@ -84,6 +85,8 @@ class TorqueInput:
             state, time, values = read(self._state)
             torque = self._convert(RobotState(time=time, positions=state.positions, velocities=state.velocities),
                                    values)
+            if torque is not None:
+                self._stuck.check(time, torque)
         except UnifeedError as error:
             self._refuse(str(error))
             return
