@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,3 +88,13 @@ def test_files_that_cannot_be_used_are_named(tmp_path, content, text):
     with pytest.raises(ConfigError, match=text) as caught:
         load_scene(path)
     assert "task.yaml" in str(caught.value)
+
+
+def test_a_scene_is_limited_to_what_the_controller_takes():
+    scene = Scene(task="t", start=(0.3, 0.0, 0.5), goal=(0.5, 0.0, 0.5))
+    box = (0.0, -1.0, 0.0, 1.0, 1.0, 1.0)
+    limited = scene.limited(1.5, box)
+    assert limited.tool_speed == pytest.approx(1.35) and limited.workspace == box
+    slow = replace(scene, tool_speed=0.5, workspace=(0.2, -1.0, 0.0, 1.0, 1.0, 1.0)).limited(1.5, box)
+    assert slow.tool_speed == 0.5 and slow.workspace[0] == 0.2
+    assert replace(scene, tool_speed=1.45).limited(1.5, ()).tool_speed == pytest.approx(1.35)

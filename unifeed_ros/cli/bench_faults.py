@@ -37,8 +37,10 @@ from unifeed_ros.nodes.topics import subscriber_qos
 
 KILLED = ("capture", "reward_learner", "trajectory_optimizer", "session", "shared_control")
 """Nodes that are killed."""
-START_S, MOTION_S = 300.0, 60.0
+START_S, MOTION_S = 300.0, 30.0
 """Longest waits for a session that gets ready, and for a motion that begins [s]."""
+ATTEMPTS = 5
+"""How often a motion is asked for before the session counts as broken."""
 MENDED = "mended"
 """Mark where a fault ends."""
 SHORTEST_TICK = 0.002
@@ -207,9 +209,7 @@ class _Trial:
         for k in range(count):
             self._recover()
             before = self._taught()
-            self._call("run")
-            self._await(lambda: self._teaching.mode == TeachingState.TRACK and self._teaching.motion_id.startswith(
-                "run"), MOTION_S, f"{name}: no motion began")
+            self._begin_motion(name)
             self._monitor.spin(float(rng.uniform(0.3, 2.0)))
             self._mark(name)
             (self._kill if name.startswith("kill") else self._break)(name, tries)
@@ -220,6 +220,19 @@ class _Trial:
             tries.invented += len(after - before)
             print(f"{name} {k + 1}/{count}: {tries.messages[-1]}", file=sys.stderr, flush=True)
         return tries.row(name)
+
+    def _begin_motion(self, name: str) -> None:
+        """Let the robot carry out its motion; a busy machine stalls the simulated arm now and then, and it holds."""
+        def moves() -> bool:
+            return self._teaching.mode == TeachingState.TRACK and self._teaching.motion_id.startswith("run")
+
+        for _ in range(ATTEMPTS):
+            self._recover()
+            self._call("run")
+            self._monitor.spin(MOTION_S, lambda: moves() or self._monitor.lesson.phase == LessonState.FAULT)
+            if moves():
+                return
+        raise UserMistake(f"{name}: no motion began", got=self._monitor.lesson.message, mend="see the logs")
 
     def _break(self, name: str, tries: Tries) -> None:
         """Break the wire for a while; the wire itself measures."""

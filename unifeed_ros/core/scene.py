@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,9 @@ from unifeed_ros.core.config import load_settings
 from unifeed_ros.core.errors import ConfigError
 from unifeed_ros.core.types import Array, Context, frozen_array
 from unifeed_ros.core.zones import Cone, Zone, cones_from, zones_from
+
+CONTROLLED_SPEED = 0.9
+"""Part of the controller's largest speed of the tool that planned motions use [1]: the arm overshoots a little."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,6 +80,16 @@ class Scene:
     def floor(self) -> float:
         """Lowest height that the tool may have: table and clearance [m]."""
         return self.table_height + self.clearance
+
+    def limited(self, tool_speed: float, workspace: Sequence[float]) -> Scene:
+        """Give the scene as a controller with limits of its own can carry it out.
+
+        Args:
+            tool_speed: Largest speed of the tool that the controller takes [m/s].
+            workspace: Box that it keeps the tool in, as the scene's; it counts where the scene has none.
+        """
+        speed = min(self.tool_speed or tool_speed, CONTROLLED_SPEED * tool_speed)
+        return replace(self, tool_speed=speed, workspace=self.workspace or workspace)
 
     def context(self) -> Context:
         """Return what of the scene belongs to the state that rewards are learned over."""

@@ -79,6 +79,7 @@ class CaptureNode(UnifeedNode):
         self._state: RobotState | None = None
         self._contact_sent, self._was_in_contact = 0.0, False
         self._taken = {"demonstration": 0, "correction": 0}
+        self._ids_of_run: list[str] = []
         self._taught = self.create_client(ListFeedback, "list_feedback")
         self._asking = self.create_timer(0.2, self._ask_for_names, clock=self.steady)
         self._contacts = self.advertise("contact")
@@ -130,9 +131,12 @@ class CaptureNode(UnifeedNode):
             for item in items:
                 self._feedback.publish(feedback_to_msg(item, captured.time, self._frame))
                 self.say(OK, f"{item.kind} {item.id} captured")
+            self._ids_of_run += [item.id for item in items]
             if isinstance(captured, CapturedCorrections) and captured.run is not None:
-                self._runs.publish(tracked_run_to_msg(captured, self._robot.joint_names, [item.id for item in items],
+                self._runs.publish(tracked_run_to_msg(captured, self._robot.joint_names, self._ids_of_run,
                                                       self._run_rate, self._frame))
+            if isinstance(captured, CapturedDemonstration) or not captured.goes_on:
+                self._ids_of_run = []
             if captured.reason:
                 self.say(WARN, captured.reason)
 
@@ -144,7 +148,7 @@ class CaptureNode(UnifeedNode):
             return [Demonstration(id=self._name("demonstration"), robot=robot, context=self._task_context,
                                   trajectory=captured.trajectory)]
         return [Correction(id=self._name("correction"), robot=robot, context=self._task_context, planned=span.planned,
-                           corrected=span.corrected, span=span.span) for span in captured.corrections]
+                           corrected=span.corrected, span=span.span) for span in captured.corrections[captured.known:]]
 
     def _ask_for_names(self) -> None:
         """Ask once what was taught before this node began: names count on from there."""

@@ -1,18 +1,17 @@
-"""The action `execute_trajectory`: one motion at a time, from its goal to its result."""
+"""The action `execute_trajectory`: one motion at a time, from its goal to its result or to the next one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rclpy.action import GoalResponse
 from rclpy.action.server import ServerGoalHandle
 
 from unifeed_msgs.action import ExecuteTrajectory
 from unifeed_ros.core.control.command import Command
 from unifeed_ros.core.control.controller import SharedController
 from unifeed_ros.core.control.execution import ExecutionRecord
-from unifeed_ros.core.errors import InputError, UnifeedError
+from unifeed_ros.core.errors import UnifeedError
 from unifeed_ros.core.modes import TeachingMode
 from unifeed_ros.core.types import RobotState, Trajectory
 from unifeed_ros.nodes.conversions import header, trajectory_from_msg, trajectory_to_msg
@@ -46,8 +45,7 @@ class MotionServer:
         self._node, self._controller, self._ready = node, controller, ready
         self._trajectories = node.advertise("trajectory")
         self._execution: _Execution | None = None
-        self._server = DeferredActionServer(node, ExecuteTrajectory, "execute_trajectory", self._on_execute,
-                                            goal_callback=self._on_goal)
+        self._server = DeferredActionServer(node, ExecuteTrajectory, "execute_trajectory", self._on_execute)
 
     @property
     def busy(self) -> bool:
@@ -59,9 +57,6 @@ class MotionServer:
         """Duration of the motion under way; 0 where there is none [s]."""
         return self._execution.trajectory.duration if self._execution is not None else 0.0
 
-    def _on_goal(self, _: ExecuteTrajectory.Goal) -> GoalResponse:
-        return GoalResponse.REJECT if self.busy else GoalResponse.ACCEPT
-
     def _on_execute(self, handle: ServerGoalHandle) -> None:
         try:
             self._begin(handle)
@@ -72,11 +67,10 @@ class MotionServer:
 
     def _begin(self, handle: ServerGoalHandle) -> None:
         state = self._ready()
-        if self.busy:
-            raise InputError("a motion is under way", mend="wait for its end or cancel it")
         trajectory = trajectory_from_msg(handle.request.trajectory, self._controller.robot.joint_names)
         motion_id = handle.request.motion_id or f"motion at {state.time:.3f} s"
-        self._controller.track(trajectory, motion_id, state)
+        self._controller.track(trajectory, motion_id, state, handle.request.patience)
+        self.end(f"{motion_id} is carried out instead")
         handle.request.trajectory.header = header(state.time, motion_id)
         self._trajectories.publish(handle.request.trajectory)
         self._execution = _Execution(handle, ExecutionRecord(trajectory, state.time), trajectory)

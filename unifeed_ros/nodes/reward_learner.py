@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ from unifeed_ros.core.reward.features import make_feature
 from unifeed_ros.core.reward.queries import QueryConfig
 from unifeed_ros.core.reward.reliability import KINDS
 from unifeed_ros.core.types import Context, Trajectory
+from unifeed_ros.nodes.arrivals import Arrivals
 from unifeed_ros.nodes.conversions import (
     context_from_msg,
     context_to_msg,
@@ -88,6 +90,7 @@ class RewardLearnerNode(UnifeedNode):
         self._queries_asked = 0
         self._time = 0.0
         self._under_way = 0
+        self._arrivals = Arrivals()
         folder = settings(self, "learner", LearnerConfig).folder
         self._kept = KeptFeedback(Path(folder)) if folder else None
         self._relearned: Future[TrainingResult] | None = None
@@ -171,6 +174,10 @@ class RewardLearnerNode(UnifeedNode):
         if msg.id in {item.id for item in self._dataset.items} or self._stamps.get(msg.id) == stamp:
             return
         self._stamps[msg.id] = stamp
+        self._take(msg)
+        self._arrivals.note(msg.id, time.monotonic())
+
+    def _take(self, msg: Feedback) -> None:
         try:
             item = feedback_from_msg(msg, self._robot.joint_names)
             self._dataset.add(item)
@@ -200,6 +207,7 @@ class RewardLearnerNode(UnifeedNode):
     # Training.
 
     async def _on_train(self, request: TrainReward.Request, response: TrainReward.Response) -> TrainReward.Response:
+        await patiently(self._arrivals.expect(request.feedback_ids, self._stamps, time.monotonic()))
         try:
             self._dataset.comparisons()  # answered at once, also while the worker still starts
         except UnifeedError as error:
@@ -359,6 +367,7 @@ class RewardLearnerNode(UnifeedNode):
 
     def _tick(self) -> None:
         self._finish_going_on()
+        self._arrivals.note("", time.monotonic())
         if self._under_way:
             self._publish_status_message()
 

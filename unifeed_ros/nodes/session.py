@@ -6,28 +6,26 @@ import queue
 import sys
 import threading
 import time
-import uuid
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.action import ActionClient
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from unifeed_msgs.action import ExecuteTrajectory, OptimizeTrajectory
-from unifeed_msgs.msg import Feedback, Interaction, LessonState, RewardModel, TeachingState
+from unifeed_msgs.action import OptimizeTrajectory
+from unifeed_msgs.msg import Feedback, Interaction, LessonState, RewardModel
 from unifeed_msgs.srv import SelectQuery, SetMode, TrainReward
 from unifeed_ros.core.control.silence import Silence
 from unifeed_ros.core.errors import ConfigError, UnifeedError
 from unifeed_ros.core.reward.storage import save_model
 from unifeed_ros.nodes.control import ControlDesk
-from unifeed_ros.nodes.conversions import context_to_msg, model_from_msg
+from unifeed_ros.nodes.conversions import context_to_msg, model_from_msg, seconds
 from unifeed_ros.nodes.lifecycle import Activator
+from unifeed_ros.nodes.motions import Motion, Motions
 from unifeed_ros.nodes.node import DIAGNOSTICS_PREFIX, ERROR, OK, UnifeedNode
 from unifeed_ros.nodes.parameters import settings
 from unifeed_ros.nodes.spin import run_node
@@ -36,9 +34,10 @@ from unifeed_ros.nodes.waiting import Interrupted, LessonError, Waiting
 LETTERS = {Feedback.DEMONSTRATION: "D", Feedback.CORRECTION: "C", Feedback.PREFERENCE: "P"}
 STATE_PERIOD = 0.1
 """Time between two messages on `lesson_state` [s]."""
-STEADY_GAP, STEADY_PATIENCE = 0.1, 20.0
-"""Time without a state of the arm that counts as a gap, and the longest wait for states without gaps [s]."""
-FINAL_PHASES = (LessonState.READY, LessonState.PAUSED, LessonState.FAULT)
+STEADY_PATIENCE = 20.0
+"""Longest wait for states of the arm without gaps [s]."""
+LAST_PUSH_S = 0.3
+"""Wait for a push that lasted to the end of a motion in which others were captured before [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +46,9 @@ class SessionConfig:
 
     show_options: bool = True
     """True: the arm carries out both motions of a question before it is asked."""
+    hand_back_patience: float = 1.0
+    """How long the arm waits where it was pushed to, while the rest of its motion is learned and planned anew; 0: the
+    arm comes back to its motion at once, and what was shown is learned when that has ended [s]."""
     capture_timeout: float = 2.0
     """Longest wait for what capture made of a motion [s]."""
     node_timeout: float = 5.0
@@ -64,6 +66,24 @@ class SessionConfig:
         if not (self.capture_timeout > 0 and self.node_timeout > 1.0 and self.steady >= 0.0):
             raise ConfigError("session times", expected="capture_timeout > 0 s, node_timeout > 1 s, steady >= 0 s",
                               got=f"{self.capture_timeout} s, {self.node_timeout} s, {self.steady} s")
+        if not 0.0 <= self.hand_back_patience <= 60.0:
+            raise ConfigError("hand_back_patience", expected="0 to 60 s", got=self.hand_back_patience)
+
+
+@dataclass
+class _Run:
+    """A motion that was carried out, and what the person made of it."""
+
+    executed: JointTrajectory = field(default_factory=JointTrajectory)
+    """What the arm did, up to where a push changed the rest."""
+    touched: bool = False
+    """Whether somebody touched the arm."""
+    pushes: list[Feedback] = field(default_factory=list)
+    """The corrections, in order."""
+    trained: TrainReward.Response | None = None
+    """What was learned of them on the way; None if nothing was, or not of all."""
+    hand_over_s: float | None = None
+    """Time from the end of the first push to the new motion, on the arm's clock [s]; None where there was none."""
 
 
 class SessionNode(UnifeedNode):
@@ -80,7 +100,6 @@ class SessionNode(UnifeedNode):
         self._robot = self.load_robot()
         self._scene = self.load_scene()
         self._config = settings(self, "session", SessionConfig)
-        self._start = self._robot.inverse_kinematics(self._scene.start, self._scene.axis)
         self._phase, self._message = LessonState.WAITING, "waiting for the other nodes"
         self._taught: list[str] = []
         self._plan: JointTrajectory | None = None
@@ -90,11 +109,9 @@ class SessionNode(UnifeedNode):
         self._feedback: queue.Queue[Feedback] = queue.Queue()
         self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue()
         self._waiting = Waiting(self, lambda: self._message if self._phase == LessonState.FAULT else "")
-        self._goal: Any = None
-        self._back: threading.Thread | None = None
+        start = self._robot.inverse_kinematics(self._scene.start, self._scene.axis)
+        self._motions = Motions(self, start, self._scene.context(), self._waiting, self._on_return)
         self._silences: dict[str, Silence] = {}
-        self._teaching: TeachingState | None = None
-        self._heard = self._steady_since = 0.0
         self._connect()
         self._worker = threading.Thread(target=self._work, name="lesson", daemon=True)
         self._worker.start()
@@ -105,15 +122,12 @@ class SessionNode(UnifeedNode):
         self._queries = self.advertise("preference_query")
         self.listen("feedback", self._feedback.put)
         self.listen("reward_model", self._on_model)
-        self.listen("teaching_state", self._on_teaching)
         self.listen("diagnostics", self._on_diagnostics)
         self._set_mode = self.create_client(SetMode, "set_mode")
         self._stop = self.create_client(Trigger, "stop")
         self._activator = Activator(self, "shared_control")
         self._train = self.create_client(TrainReward, "train_reward")
         self._select = self.create_client(SelectQuery, "select_query")
-        self._optimize = ActionClient(self, OptimizeTrajectory, "optimize_trajectory")
-        self._execute = ActionClient(self, ExecuteTrajectory, "execute_trajectory")
         for name, serve in {"start_demonstration": self._on_start, "finish_demonstration": self._on_finish,
                             "run": self._on_run, "pause": self._on_pause, "ask": self._on_ask, "save": self._on_save,
                             "reset": self._on_reset}.items():
@@ -126,12 +140,6 @@ class SessionNode(UnifeedNode):
     def _on_model(self, msg: RewardModel) -> None:
         self._model = msg
 
-    def _on_teaching(self, msg: TeachingState) -> None:
-        now = time.monotonic()
-        if now - self._heard > STEADY_GAP:
-            self._steady_since = now
-        self._teaching, self._heard = msg, now
-
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
             name = status.name.removeprefix(DIAGNOSTICS_PREFIX)
@@ -143,10 +151,12 @@ class SessionNode(UnifeedNode):
         if dead and self._message != told:  # also after another fault, which may have come of the death
             self._fault(told)
             self._stop.call_async(Trigger.Request())
-            self._cancel()
-        stopped = self._teaching is not None and self._teaching.mode == TeachingState.STOPPED
-        if stopped and self._phase == LessonState.DEMONSTRATING:  # a motion's end says it; here nobody would
-            self._fault(f"the arm {self._teaching.message}; reset, then start_demonstration")
+            self._motions.cancel()
+        if self._motions.lost and self._phase != LessonState.FAULT:
+            self._fault("shared_control was started anew during a motion; reset goes on")
+            self._motions.cancel()
+        if self._motions.stopped and self._phase == LessonState.DEMONSTRATING:  # else a motion's end says it
+            self._fault(f"the arm {self._motions.teaching.message}; reset, then start_demonstration")
         self._publish_state()
 
     def _dead_nodes(self) -> list[str]:
@@ -174,7 +184,7 @@ class SessionNode(UnifeedNode):
             response.success, response.message = False, f"nothing to pause: {self._message}"
             return response
         self._waiting.interrupt.set()
-        self._cancel()
+        self._motions.cancel()
         response.success, response.message = True, "pausing; run or reset goes on"
         return response
 
@@ -184,7 +194,7 @@ class SessionNode(UnifeedNode):
             response.success, response.message = False, f"{', '.join(dead)} not running; start it, then reset"
             return response
         self._waiting.interrupt.set()
-        self._cancel()
+        self._motions.cancel()
         self._enter(LessonState.WAITING, "resetting")
         self._jobs.put(self._prepare)
         response.success, response.message = True, "moving back to the start; what was taught is kept"
@@ -222,7 +232,7 @@ class SessionNode(UnifeedNode):
                 try:
                     job()
                 finally:
-                    self._end_return()
+                    self._motions.end_return()
             except Interrupted:
                 if self._phase != LessonState.FAULT:
                     self._enter(LessonState.PAUSED, "paused: run or reset goes on")
@@ -234,17 +244,17 @@ class SessionNode(UnifeedNode):
         """Wait for the nodes and for the arm's state, then move to the start."""
         self._enter(LessonState.WAITING, "waiting for the other nodes")
         said = ""
-        while (missing := self._dead_nodes()) or self._teaching is None:
+        while (missing := self._dead_nodes()) or self._motions.teaching is None:
             said_now = f"waiting for {', '.join(missing) or 'the arm'}"
             if said_now != said:
                 self._enter(LessonState.WAITING, said := said_now)
             time.sleep(0.1)
         patience = time.monotonic() + STEADY_PATIENCE
-        while time.monotonic() < min(patience, self._steady_since + self._config.steady):
+        while time.monotonic() < min(patience, self._motions.steady_since + self._config.steady):
             time.sleep(0.05)
         self._activator.activate(self._waiting)
         self._mode(SetMode.Request.HOLD)
-        self._return_to_start()
+        self._motions.return_to_start()
         self._ready("ready: start_demonstration, run or ask")
 
     def _demonstrate(self) -> None:
@@ -255,28 +265,26 @@ class SessionNode(UnifeedNode):
     def _finish_demonstration(self) -> None:
         ended = time.monotonic()
         self._mode(SetMode.Request.HOLD)
-        items = self._captured(Feedback.DEMONSTRATION)
+        items = self._captured(Feedback.DEMONSTRATION, self._config.capture_timeout)
         if not items:
-            self._return_to_start()
+            self._motions.return_to_start()
             self._ready("no demonstration was found: the arm hardly moved; start_demonstration tries again")
             return
         self._learn_and_show(Feedback.DEMONSTRATION, items, ended)
 
     def _run(self) -> None:
         """Carry out the newest plan; pushes become corrections."""
-        self._return_to_start()
+        self._motions.return_to_start()
         self._drain_feedback()
         if self._plan is None or self._plan_is_old():
             self._plan_anew()
         self._enter(LessonState.RUNNING, "the arm moves: push it where it should move differently")
-        result = self._executed(self._plan, "run")
-        ended = time.monotonic()
-        items = self._captured(Feedback.CORRECTION) if result.touched else []
-        if not items:
-            self._return_to_start()
-            self._ready("the push changed nothing" if result.touched else "nobody touched the arm")
+        run = self._carried_out(self._plan, "run")
+        if not run.pushes:
+            self._motions.return_to_start()
+            self._ready("the push changed nothing" if run.touched else "nobody touched the arm")
             return
-        self._learn_and_show(Feedback.CORRECTION, items, ended)
+        self._learn_and_show(Feedback.CORRECTION, run.pushes, time.monotonic(), run)
 
     def _ask(self) -> None:
         """Choose a question, show its motions, wait for the answer, learn from it."""
@@ -294,48 +302,110 @@ class SessionNode(UnifeedNode):
             return
         self._drain_feedback()
         for k, option in enumerate(chosen.query.options if self._config.show_options else []):
-            self._return_to_start()
+            self._motions.return_to_start()
             self._enter(LessonState.SHOWING, f"option {chr(ord('A') + k)}: watch, do not touch")
-            self._executed(option, f"option {chr(ord('A') + k)}")
+            self._motions.carry_out(option, f"option {chr(ord('A') + k)}")
         self._enter(LessonState.ASKING, "which motion was better? answer_query takes the ranks")
         self._queries.publish(chosen.query)
-        self._begin_return()
+        self._motions.begin_return()
         answer = self._next_feedback(Feedback.PREFERENCE, None)
         ended = time.monotonic()
         if not answer.ranks:
-            self._end_return()
-            self._return_to_start()
+            self._motions.end_return()
+            self._motions.return_to_start()
             self._ready("neither was good: noted, nothing learned from it")
             return
         self._learn_and_show(Feedback.PREFERENCE, [answer], ended)
 
-    def _learn_and_show(self, kind: int, items: list[Feedback], ended: float) -> None:
-        """Train, plan and move back at the same time; then show the new motion in a run that nobody needs to touch."""
+    def _learn_and_show(self, kind: int, items: list[Feedback], ended: float, run: _Run | None = None) -> None:
+        """Learn, plan and move back at the same time; then show the new motion in a run that nobody needs to touch.
+
+        Args:
+            kind: Of the input.
+            items: What was captured of it.
+            ended: When it ended; steady time [s].
+            run: The run in which it was given, if it was a correction.
+        """
         self._enter(LessonState.LEARNING, f"learning from {len(items)} input{'s' if len(items) > 1 else ''}")
-        self._begin_return()
-        trained = self._waiting.call(self._train, TrainReward.Request(), 120.0)
-        if not trained.success:
-            raise LessonError(f"not learned: {trained.message}", mend="undo_feedback takes an input back; then reset")
+        self._motions.begin_return()
+        trained = run.trained if run is not None and run.trained is not None else self._learned(items)
         self._enter(LessonState.PLANNING, "planning the new motion")
-        planned = self._plan_anew()
-        self._end_return()
+        planned = self._plan_anew(trained.version)
+        self._motions.end_return()
         ready = time.monotonic() - ended
-        self._return_to_start()
+        self._motions.return_to_start()
         self._enter(LessonState.SHOWING, "showing what was learned")
         self._drain_feedback()
-        result = self._executed(self._plan, "show")
-        self._shown.append(result.executed)
+        shown = self._carried_out(self._plan, "show")
+        if not shown.pushes:
+            self._shown.append(shown.executed)
         self._taught.append(LETTERS[kind])
         self._interactions.publish(Interaction(
             header=self._header(), index=len(self._taught), kind=kind, feedback_ids=[item.id for item in items],
-            model_version=trained.version, train_s=trained.seconds, plan_s=planned.seconds, feedback_to_motion_s=ready,
-            planned=self._plan, executed=result.executed, touched=result.touched))
-        pushes = self._captured(Feedback.CORRECTION) if result.touched else []
-        if pushes:
-            self._learn_and_show(Feedback.CORRECTION, pushes, time.monotonic())
+            model_version=trained.version, train_s=trained.seconds, plan_s=planned.seconds,
+            feedback_to_motion_s=ready if run is None or run.hand_over_s is None else run.hand_over_s,
+            planned=self._plan, executed=shown.executed, touched=shown.touched))
+        if shown.pushes:
+            self._learn_and_show(Feedback.CORRECTION, shown.pushes, time.monotonic(), shown)
             return
-        self._return_to_start()
+        self._motions.return_to_start()
         self._ready("ready: start_demonstration, run or ask")
+
+    def _carried_out(self, trajectory: JointTrajectory, name: str) -> _Run:
+        """Carry out a motion; when the person lets go after a push, the rest goes on as they showed."""
+        run, patience = _Run(), self._config.hand_back_patience
+        motion = self._motions.begin(trajectory, name, patience)
+        while (push := self._push_in(motion)) is not None:
+            run.pushes.append(push)
+            run.trained = None
+            other = self._changed(motion, run, push) if patience > 0.0 else None
+            if other is not None:
+                broken_off, _ = self._waiting.end(motion.action, None)
+                run.executed = run.executed if run.executed.points else broken_off.executed
+                motion = other
+        last = self._motions.end(motion)
+        run.executed = run.executed if run.executed.points else last.executed
+        run.touched = bool(last.touched or run.pushes)
+        timeout = LAST_PUSH_S if run.pushes else self._config.capture_timeout
+        late = self._captured(Feedback.CORRECTION, timeout) if last.touched else []
+        if late:
+            run.pushes, run.trained = [*run.pushes, *late], None
+        return run
+
+    def _push_in(self, motion: Motion) -> Feedback | None:
+        """Wait for what the person changes in a motion; None when the motion has ended."""
+        try:
+            return self._waiting.next(self._feedback, lambda item: item.kind == Feedback.CORRECTION, None,
+                                      ended=lambda: motion.ended)
+        except queue.Empty:
+            return None
+
+    def _changed(self, motion: Motion, run: _Run, push: Feedback) -> Motion | None:
+        """Learn from a push that has ended, and replace the rest of the motion; None if it goes on as it was."""
+        phase = self._phase
+        try:
+            self._enter(phase, "learning from the push: the arm waits where it was left")
+            run.trained = self._learned([push])
+            rest = self._motions.plan_rest(run.trained.version)
+            begun = rest and self._motions.replace(motion, rest.trajectory, "rest", self._config.hand_back_patience)
+        except LessonError as error:  # what was shown is kept: it is learned from when the motion has ended
+            self.get_logger().warning(f"the motion is not changed on its way: {error}")
+            begun = None
+        if not begun:
+            self._enter(phase, "the motion goes on; what was shown changes the next one")
+            return None
+        other, began = begun
+        waited = seconds(began.header.stamp) - seconds(push.header.stamp)
+        run.hand_over_s = run.hand_over_s or waited
+        self._enter(phase, f"goes on as shown, {waited:.2f} s after the push")
+        return other
+
+    def _learned(self, items: list[Feedback]) -> TrainReward.Response:
+        request = TrainReward.Request(feedback_ids=[item.id for item in items])
+        trained = self._waiting.call(self._train, request, 120.0)
+        if not trained.success:
+            raise LessonError(f"not learned: {trained.message}", mend="undo_feedback takes an input back; then reset")
+        return trained
 
     # Steps that wait on other nodes.
 
@@ -343,63 +413,24 @@ class SessionNode(UnifeedNode):
         """Say whether a reward was learned since the plan was made, as after an undo."""
         return self._model is not None and self._model.version > self._plan_version
 
-    def _plan_anew(self) -> OptimizeTrajectory.Result:
-        result = self._optimized()
+    def _plan_anew(self, version: int = 0) -> OptimizeTrajectory.Result:
+        result = self._motions.plan(version=version)
         self._plan, self._plan_version = result.trajectory, result.model_version
         return result
-
-    def _optimized(self, *, smoothest: bool = False, start: np.ndarray | None = None) -> OptimizeTrajectory.Result:
-        goal = OptimizeTrajectory.Goal(context=context_to_msg(self._scene.context()), smoothest=smoothest)
-        if smoothest:
-            goal.start, goal.goal = list(map(float, start)), list(map(float, self._start))
-        result, status = self._waiting.act(self._optimize, goal, 60.0)
-        if status != GoalStatus.STATUS_SUCCEEDED or not result.success:
-            raise LessonError(f"no motion: {result.message or 'the optimizer gave up'}", mend="reset goes on")
-        return result
-
-    def _executed(self, trajectory: JointTrajectory, name: str) -> ExecuteTrajectory.Result:
-        goal = ExecuteTrajectory.Goal(trajectory=trajectory, motion_id=f"{name} {uuid.uuid4().hex[:8]}")
-        result, status = self._waiting.act(self._execute, goal, None, self._set_goal)
-        if status != GoalStatus.STATUS_SUCCEEDED:
-            raise LessonError(f"motion stopped: {result.message or 'the controller gave up'}", mend="reset goes on")
-        return result
-
-    def _return_to_start(self) -> None:
-        here = self._arm_positions()
-        if float(np.abs(here - self._start).max()) < 0.01:
-            return
-        if self._phase not in (LessonState.ASKING, LessonState.LEARNING, LessonState.PLANNING):
-            self._enter(LessonState.RETURNING, "moving back to the start")
-        self._executed(self._optimized(smoothest=True, start=here).trajectory, "return")
-
-    def _begin_return(self) -> None:
-        """Move back to the start while the lesson goes on, unless the arm is on its way already."""
-        if self._back is None:
-            self._back = threading.Thread(target=self._return_quietly, name="return")
-            self._back.start()
-
-    def _end_return(self) -> None:
-        """Wait until the arm that was sent back is there."""
-        if self._back is not None:
-            self._back.join()
-            self._back = None
-
-    def _return_quietly(self) -> None:
-        """Move back; a failure here is met again by the move before the next motion."""
-        try:
-            self._return_to_start()
-        except (UnifeedError, Interrupted) as error:
-            self.get_logger().warning(f"moving back: {error or 'interrupted'}")
 
     def _mode(self, mode: int) -> None:
         response = self._waiting.call(self._set_mode, SetMode.Request(mode=mode), 2.0)
         if not response.success:
             raise LessonError(f"mode not changed: {response.message}", mend="reset goes on")
 
-    def _captured(self, kind: int) -> list[Feedback]:
+    def _on_return(self) -> None:
+        if self._phase not in (LessonState.ASKING, LessonState.LEARNING, LessonState.PLANNING):
+            self._enter(LessonState.RETURNING, "moving back to the start")
+
+    def _captured(self, kind: int, timeout: float) -> list[Feedback]:
         """Collect what capture made of the motion that just ended."""
         try:
-            items = [self._next_feedback(kind, self._config.capture_timeout)]
+            items = [self._next_feedback(kind, timeout)]
         except queue.Empty:
             return []
         time.sleep(0.1)  # several corrections of one run come in one burst
@@ -415,17 +446,6 @@ class SessionNode(UnifeedNode):
     def _drain_feedback(self) -> None:
         while not self._feedback.empty():
             self._feedback.get_nowait()
-
-    def _arm_positions(self) -> np.ndarray:
-        return np.array(self._teaching.positions)
-
-    def _set_goal(self, handle: Any) -> None:
-        self._goal = handle
-
-    def _cancel(self) -> None:
-        goal = self._goal
-        if goal is not None:
-            goal.cancel_goal_async()
 
     # Phases.
 
@@ -453,13 +473,14 @@ class SessionNode(UnifeedNode):
     def _header(self) -> Any:
         msg = LessonState().header
         msg.frame_id = self._robot.config.base_frame
-        msg.stamp = self._teaching.header.stamp if self._teaching is not None else self.get_clock().now().to_msg()
+        teaching = self._motions.teaching
+        msg.stamp = teaching.header.stamp if teaching is not None else self.get_clock().now().to_msg()
         return msg
 
     def close(self) -> None:
         """End the worker; the controller holds the arm."""
         self._waiting.interrupt.set()
-        self._cancel()
+        self._motions.cancel()
         self._jobs.put(None)
         self._worker.join(timeout=1.0)
 

@@ -180,9 +180,10 @@ class SharedControlNode(ManagedNode):
             self.say(ERROR, "joint states stopped coming: check the robot's driver")
             self._motions.end("joint states stopped coming")
             self._announce()
-        if self._motions.busy and self._session_seen and session_silence > self._loop.session_timeout:
-            self._controller.stop("the session died; start it again")
         leading = self._controller.mode not in (TeachingMode.INACTIVE, TeachingMode.STOPPED)
+        if leading and self._session_seen and session_silence > self._loop.session_timeout:
+            self._session_seen = False
+            (self._controller.stop if self._motions.busy else self._controller.tell)("the session died; start it again")
         if leading and self._output.rivals() > 0:
             self._fault(f"another node publishes on {self._output.topic}; end it, then choose a mode")
 

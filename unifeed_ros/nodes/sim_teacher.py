@@ -119,7 +119,11 @@ class SimTeacherNode(UnifeedNode):
 
     def _on_state(self, data: bytes) -> None:
         self._joints = data
-        if not self._hand_is_used() or (state := self._arm_state()) is None:
+        if not self._hand_is_used():
+            if self._pushing:
+                self._let_go()
+            return
+        if (state := self._arm_state()) is None:
             return
         if not 0.0 <= state.time - self._felt < HAND_PERIOD:
             self._felt = state.time

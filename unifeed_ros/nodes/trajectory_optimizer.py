@@ -10,6 +10,7 @@ from rclpy.action.server import ServerGoalHandle
 
 from unifeed_msgs.action import OptimizeTrajectory
 from unifeed_msgs.msg import RewardModel
+from unifeed_ros.core.control.settings import ControlConfig
 from unifeed_ros.core.errors import InputError, PlanningError, UnifeedError
 from unifeed_ros.core.planning.plan import Plan, PlannerConfig, PlanProgress, ToolGoal, plan_motion
 from unifeed_ros.core.reward.ensemble import RewardEnsemble
@@ -34,6 +35,7 @@ class TrajectoryOptimizerNode(UnifeedNode):
         self._robot = self.load_robot()
         self._scene = self.load_scene()
         self._config = settings(self, "planner", PlannerConfig)
+        self._control = settings(self, "control", ControlConfig)
         self._start = self._robot.inverse_kinematics(self._scene.start, self._scene.axis)
         self._goal = self._robot.inverse_kinematics(self._scene.goal, self._scene.axis, seed=self._start)
         self._model: RewardEnsemble | None = None
@@ -95,11 +97,8 @@ class TrajectoryOptimizerNode(UnifeedNode):
                              got=goal.goal_kind, mend="leave goal empty, or goal_kind")
         start = self._robot.require_state(goal.start, "start") if goal.start else self._start
         end = self._robot.require_state(goal.goal, "goal") if goal.goal else self._goal_posture(context)
-        seeds = (
-            [self._last]
-            if self._last is not None and not goal.smoothest and len(self._last) == config.waypoints
-            else []
-        )
+        whole = not goal.smoothest and not goal.start  # only whole motions begin where the next ones do
+        seeds = [self._last] if self._last is not None and whole and len(self._last) == config.waypoints else []
         line = self._robot.tool_states(np.linspace(start, end, config.waypoints))  # where members are compared
         plan = plan_motion(
             self._robot,
@@ -107,13 +106,13 @@ class TrajectoryOptimizerNode(UnifeedNode):
             start,
             end if goal.goal or goal.smoothest else self._fixed_goal(config, context, end),
             duration=goal.duration or (0.0 if goal.smoothest else self._scene.duration),
-            scene=constrained(self._scene, goal),
+            scene=constrained(self._scene, goal).limited(self._control.tool_speed, self._control.workspace),
             config=config,
             on_iteration=lambda progress: self._on_iteration(handle, progress),
             should_stop=lambda: handle.is_cancel_requested,
             seeds=seeds,
         )
-        if plan.success and not goal.smoothest:
+        if plan.success and whole:
             self._last = plan.waypoints
         return plan
 

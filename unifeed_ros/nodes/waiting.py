@@ -6,6 +6,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from rclpy.action import ActionClient
@@ -27,6 +28,16 @@ class LessonError(UnifeedError):
 
 class Interrupted(Exception):
     """The person paused or reset the lesson while a step was under way."""
+
+
+@dataclass(frozen=True)
+class Action:
+    """An action that goes on."""
+
+    handle: Any
+    """Its goal's handle."""
+    result: Future
+    """Done when it has ended."""
 
 
 class Waiting:
@@ -61,15 +72,13 @@ class Waiting:
             raise LessonError(f"service {client.srv_name} is not there", mend="start its node, then reset")
         return self.answer(client.call_async(request), timeout, client.srv_name)
 
-    def act(self, client: ActionClient, goal: Any, timeout: float | None,
-            on_handle: Callable[[Any], None] = lambda _: None) -> tuple[Any, int]:
+    def act(self, client: ActionClient, goal: Any, timeout: float) -> tuple[Any, int]:
         """Send a goal to an action and wait for its end; an interrupt cancels it.
 
         Args:
             client: Its client.
             goal: The goal.
-            timeout: Longest wait for the result [s]; None: no limit.
-            on_handle: Gets the goal's handle, and None when the action has ended.
+            timeout: Longest wait for the result [s].
 
         Returns:
             Result and status.
@@ -78,19 +87,48 @@ class Waiting:
             LessonError: The action is not there, refuses the goal, or does not end in time.
             Interrupted: The person interrupted.
         """
+        return self.end(self.begin(client, goal), timeout)
+
+    def begin(self, client: ActionClient, goal: Any) -> Action:
+        """Send a goal to an action.
+
+        Args:
+            client: Its client.
+            goal: The goal.
+
+        Returns:
+            What goes on now.
+
+        Raises:
+            LessonError: The action is not there, or refuses the goal.
+            Interrupted: The person interrupted.
+        """
         if not client.wait_for_server(timeout_sec=SERVER_S):
             raise LessonError("an action is not there", mend="start its node, then reset")
         handle = self.answer(self._in_executor(lambda: client.send_goal_async(goal)), 15.0, "action goal")
         if not handle.accepted:
             raise LessonError("motion refused by the controller or the optimizer", mend="see its log; reset goes on")
-        on_handle(handle)
+        return Action(handle, self._in_executor(handle.get_result_async))
+
+    def end(self, action: Action, timeout: float | None) -> tuple[Any, int]:
+        """Wait for the end of an action; an interrupt cancels it.
+
+        Args:
+            action: What goes on.
+            timeout: Longest wait [s]; None: no limit.
+
+        Returns:
+            Result and status.
+
+        Raises:
+            LessonError: There is a fault, or it does not end in time.
+            Interrupted: The person interrupted.
+        """
         try:
-            answer = self.answer(self._in_executor(handle.get_result_async), timeout, "action result")
+            answer = self.answer(action.result, timeout, "action result")
         except Interrupted:
-            self._in_executor(handle.cancel_goal_async)
+            self._in_executor(action.handle.cancel_goal_async)
             raise
-        finally:
-            on_handle(None)
         if self.interrupt.is_set():
             raise Interrupted
         return answer.result, answer.status
@@ -122,25 +160,30 @@ class Waiting:
                 raise LessonError(f"{what} did not answer", expected=f"within {timeout} s", mend="reset goes on")
         return future.result()
 
-    def next(self, items: queue.Queue[Any], wanted: Callable[[Any], bool], timeout: float | None) -> Any:
+    def next(self, items: queue.Queue[Any], wanted: Callable[[Any], bool], timeout: float | None,
+             ended: Callable[[], bool] = lambda: False) -> Any:
         """Take items out of a queue until a wanted one comes.
 
         Args:
             items: The queue.
             wanted: Says whether an item is the one waited for; others are dropped.
             timeout: Longest wait [s]; None: no limit.
+            ended: Says when none can come any more.
 
         Returns:
             The item.
 
         Raises:
             queue.Empty: It did not come in time.
+            LessonError: There is a fault.
             Interrupted: The person interrupted.
         """
         deadline = float("inf") if timeout is None else time.monotonic() + timeout
-        while time.monotonic() < deadline:
+        while time.monotonic() < deadline and not ended():
             if self.interrupt.is_set():
                 raise Interrupted
+            if fault := self._fault_of():
+                raise LessonError(fault)
             try:
                 item = items.get(timeout=POLL_S)
             except queue.Empty:

@@ -65,7 +65,7 @@ def test_push_becomes_one_correction_from_its_onset_to_its_release(panda, plan, 
 def test_several_pushes_give_several_corrections_and_close_ones_one(panda, plan):
     apart = extract_corrections(pushed(plan, [(0.5, 1.0), (2.0, 2.6)], 0.3), plan, panda)
     assert [c.span for c in apart] == [pytest.approx((0.4, 1.0), abs=0.011), pytest.approx((1.9, 2.6), abs=0.011)]
-    close = extract_corrections(pushed(plan, [(0.5, 1.0), (1.2, 1.6)], 0.3), plan, panda)
+    close = extract_corrections(pushed(plan, [(0.5, 1.0), (1.06, 1.6)], 0.3), plan, panda)
     assert [c.span for c in close] == [pytest.approx((0.4, 1.6), abs=0.011)]
 
 

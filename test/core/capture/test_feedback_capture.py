@@ -68,8 +68,9 @@ def play_tracked(session, motion, **push):
     session.play(TeachingMode.HOLD, 0.2)
     session.play(TeachingMode.TRACK, 3.0, motion_id="m", motion=motion, **push)
     session.play(TeachingMode.HOLD, 0.2)
-    [captured] = session.captured
-    assert isinstance(captured, CapturedCorrections)
+    *pushes, captured = session.captured
+    assert isinstance(captured, CapturedCorrections) and not captured.goes_on
+    assert all(push.goes_on and push.run is None for push in pushes)
     assert captured.motion_id == "m"
     return captured
 
@@ -127,6 +128,24 @@ def test_pushed_run_gives_corrections(session, motion):
     assert [c.span for c in captured.corrections] == expected
 
 
+def test_a_push_is_handed_out_as_soon_as_it_has_ended(session, motion):
+    end = play_tracked(session, motion, pushes=[(0.5, 1.2), (2.0, 2.5)])
+    first, second, _ = session.captured
+    assert (first.known, second.known, end.known) == (0, 1, 2)
+    for push, count in ((first, 1), (second, 2)):
+        assert push.touched and push.reason == "" and push.time == push.corrections[-1].interval[1]
+        assert len(push.corrections) == count
+    for early, late in zip(second.corrections, end.corrections, strict=True):
+        assert (early.span, early.interval, early.deviation_m) == (late.span, late.interval, late.deviation_m)
+        np.testing.assert_array_equal(early.corrected.positions, late.corrected.positions)
+
+
+def test_a_push_held_to_the_end_is_handed_out_there_and_the_one_before_it_is_known(session, motion):
+    end = play_tracked(session, motion, pushes=[(0.5, 1.2), (2.0, 9.9)])
+    assert len(session.captured) == 2
+    assert (len(end.corrections), end.known) == (2, 1)
+
+
 def test_untouched_run_gives_nothing(session, motion):
     captured = play_tracked(session, motion)
     assert (captured.touched, captured.corrections, captured.reason) == (False, (), "")
@@ -166,8 +185,9 @@ def test_touch_during_which_the_arm_stopped_teaches_nothing_but_earlier_ones_do(
     session.capture.observe_trajectory("m", motion)
     session.play(TeachingMode.TRACK, 2.5, motion_id="m", motion=motion, pushes=[(0.5, 1.2), (2.0, 9.9)])
     session.play(TeachingMode.STOPPED, 0.1)
-    [captured] = session.captured
+    handed_out, captured = session.captured
     assert [c.span for c in captured.corrections] == [pytest.approx((0.4, 1.2), abs=0.02)]
+    assert len(handed_out.corrections) == captured.known == 1
     assert not captured.run.in_contact[captured.run.times > captured.run.times[0] + 1.9].any()
 
 
@@ -187,8 +207,8 @@ def test_motion_that_follows_at_once_is_a_run_of_its_own(session, motion):
     session.play(TeachingMode.TRACK, 2.0, motion_id="m", motion=motion, pushes=[(0.5, 1.0)])
     session.play(TeachingMode.TRACK, 2.0, motion_id="m", motion=motion)
     session.play(TeachingMode.TRACK, 1.0, motion_id="other", motion=motion).play(TeachingMode.STOPPED, 0.1)
-    assert [(c.motion_id, len(c.corrections), c.touched) for c in session.captured] == [
-        ("m", 1, True), ("m", 0, False), ("other", 0, False)]
+    assert [(c.motion_id, len(c.corrections), c.known, c.touched) for c in session.captured] == [
+        ("m", 1, 0, True), ("m", 1, 1, True), ("m", 0, 0, False), ("other", 0, 0, False)]
 
 
 def test_clock_that_begins_anew_begins_a_session_anew(session):

@@ -82,13 +82,14 @@ def test_live_capture_corrects_a_real_free_run_only_where_it_is_pushed(recording
     capture = FeedbackCapture(panda)
     detector = ContactDetector([2.0, 2.0, 2.0, 2.0, 1.5, 1.5, 1.0])
     capture.observe_trajectory("m", plan)
+    handed_out = []
     for k, time in enumerate(times.tolist()):
         capture.observe_state(RobotState(time=time, positions=positions[k], velocities=velocities[k]))
         capture.observe_contact(detector.update(time, torque[k], velocities[k]))
-        assert capture.observe_teaching(time, TeachingMode.TRACK, "m", time) == []
+        handed_out += capture.observe_teaching(time, TeachingMode.TRACK, "m", time)
     [captured] = capture.observe_teaching(times[-1] + 0.001, TeachingMode.HOLD, "", 0.0)
     assert captured.touched is pushed
-    assert len(captured.corrections) == int(pushed)
+    assert len(captured.corrections) == captured.known == len(handed_out) == int(pushed)
     if pushed:
         assert captured.corrections[0].span == pytest.approx((1.45, 2.5), abs=0.15)
         assert 0.05 < captured.corrections[0].deviation_m < 0.25

@@ -263,6 +263,61 @@ def test_a_motion_that_starts_elsewhere_is_refused_and_nothing_changes(robot):
     assert controller.step(at(state, 0.002), np.zeros(robot.n)).mode is TeachingMode.HOLD
 
 
+def pushed_aside(robot, push=(0.0, 25.0, 0.0), patience=1.0):
+    """An arm that a person has pushed off a motion of six seconds, as they let go; gives loop and motion."""
+    loop = Loop(robot)
+    loop.controller.hold(loop.arm.state())
+    loop.run(1.0)
+    motion = loop.straight_motion(duration=6.0)
+    loop.controller.track(motion, "m1", loop.arm.state(), patience)
+    loop.run(1.5).run(0.8, push)
+    return loop, motion
+
+
+def test_an_arm_that_was_pushed_aside_waits_for_another_motion_and_then_comes_back(robot):
+    loop, motion = pushed_aside(robot)
+    loop.run(0.5)
+    left, time = loop.arm.tool_position, loop.commands[-1].motion_time
+    loop.run(0.6)
+    assert np.linalg.norm(loop.arm.tool_position - left) < 0.02
+    assert loop.commands[-1].motion_time - time < 0.02
+    path = robot.tool_states(motion.resampled(600))[:, :3]
+    assert np.linalg.norm(path - loop.arm.tool_position, axis=1).min() > 0.1
+    loop.run(2.5)
+    assert np.linalg.norm(path - loop.arm.tool_position, axis=1).min() < 0.02
+    loop.run(6.0)
+    assert any(command.finished for command in loop.commands)
+
+
+def test_a_touch_that_leaves_the_arm_on_its_motion_makes_it_wait_for_nothing(robot):
+    times = []
+    for patience in (0.0, 5.0):
+        loop, _ = pushed_aside(robot, (0.0, 0.0, 0.0), patience)
+        loop.run(0.05, (0.0, 25.0, 0.0)).run(2.0)
+        times.append(loop.commands[-1].motion_time)
+    assert times[0] == times[1] > 3.5
+
+
+def test_a_motion_is_replaced_on_its_way_without_a_jump_but_never_under_the_hand(robot):
+    loop, motion = pushed_aside(robot)
+    goal = motion.positions[-1]
+    with pytest.raises(InputError, match="a person pushes"):
+        loop.controller.track(minimum_jerk(robot, loop.arm.true_positions, goal, 3.0), "m2", loop.arm.state())
+    assert loop.commands[-1].motion_id == "m1"
+    loop.run(0.35)
+    loop.commands.clear()
+    rest = minimum_jerk(robot, loop.arm.true_positions, goal, 4.0)
+    loop.controller.track(rest, "m2", loop.arm.state())
+    loop.run(4.6)
+    assert {command.motion_id for command in loop.commands} <= {"m2", ""}
+    assert any(command.finished for command in loop.commands)
+    assert loop.largest_torque_step <= 1.01 * loop.controller.config.torque_rate * PERIOD
+    steps = np.linalg.norm(np.diff(loop.tool[-len(loop.commands):], axis=0), axis=1)
+    planned = np.linalg.norm(np.diff(robot.tool_states(rest.positions)[:, :3], axis=0), axis=1)[:-1]
+    assert steps.max() / PERIOD < 1.1 * planned.max() / 0.01
+    np.testing.assert_allclose(loop.arm.true_positions, goal, atol=0.03)
+
+
 def test_same_input_same_bytes(robot):
     def run():
         loop = Loop(robot)

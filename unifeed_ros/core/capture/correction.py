@@ -20,8 +20,9 @@ class CorrectionConfig:
 
     pre_roll: float = 0.1
     """Time kept before the onset of a contact: the push begins before it passes the threshold [s]."""
-    merge_gap: float = 0.3
-    """Contacts with less than this between them are one push [s]."""
+    merge_gap: float = 0.1
+    """Contacts with less than this between them are one push [s]: a push that has ended for so long can be learned from
+    at once."""
     smallest_deviation: float = 0.02
     """A push that moves the tool less far from the plan than this changed nothing [m]."""
     rate: float = 50.0

@@ -63,33 +63,37 @@ class CapturedDemonstration:
 
 @dataclass(frozen=True, kw_only=True)
 class CapturedCorrections:
-    """The end of a tracked run."""
+    """What a person changed in a tracked run: a push that has ended while the run goes on, or the end of the run."""
 
     time: float
-    """Stamp of its end [s]."""
+    """Stamp of the end of the push, or of the run [s]."""
     motion_id: str
     """Name of the motion that was tracked."""
     touched: bool
     """Whether a person touched the arm with intent, even if it changed nothing."""
     corrections: tuple[CorrectedSpan, ...]
-    """What the person changed, in order."""
+    """What the person has changed in this run, in order."""
     reason: str
     """Why there is no correction although the arm was touched, or why the run cannot be judged; empty otherwise."""
     run: TrackedRun | None = None
-    """The whole run, touched or not; None if it is too short to be one."""
+    """The whole run, touched or not; None if it goes on, or is too short to be one."""
+    known: int = 0
+    """How many of the corrections, the first ones, were handed out before."""
+    goes_on: bool = False
+    """True for a push within a run, False for the run's end."""
 
 
 Captured = CapturedDemonstration | CapturedCorrections
-"""What a run ends with."""
+"""What a run ends with, and what a push within it ends with."""
 
 
 class FeedbackCapture:
     """Collect what happens until a run ends, then say what it taught.
 
     Every observe method only stores; the work (some milliseconds) is done in the observe_teaching call with which a run
-    ends. A guided run ends when the mode leaves GUIDE, a tracked run when it leaves TRACK, another motion begins, or
-    the same motion begins anew. Contacts that stay collisions to their end teach nothing, and nor does a touch during
-    which the arm stopped.
+    or a push within it ends. A guided run ends when the mode leaves GUIDE, a tracked run when it leaves TRACK, another
+    motion begins, or the same motion begins anew. Contacts that stay collisions to their end teach nothing, and nor
+    does a touch during which the arm stopped.
 
     Args:
         robot: The arm.
@@ -108,6 +112,7 @@ class FeedbackCapture:
         self._record.clear()
         self._mode, self._motion_id = TeachingMode.INACTIVE, ""
         self._began = 0.0
+        self._pushes, self._handed_out = 0, -math.inf
         self._progress: list[tuple[float, float]] = []
         self._log = TouchLog()
         self._now = -math.inf
@@ -146,7 +151,7 @@ class FeedbackCapture:
             motion_time: Time within that motion [s].
 
         Returns:
-            The run that ended, if one did.
+            The run or the push that ended, if one did.
 
         Raises:
             InputError: The mode is unknown, or a time is not finite; nothing is stored.
@@ -164,12 +169,32 @@ class FeedbackCapture:
             self._begin(time, mode, motion_id)
         if mode is TeachingMode.TRACK and (not self._progress or time > self._progress[-1][0]):
             self._progress.append((time, motion_time))
+            captured += self._hand_out(time)
         return captured
+
+    def _hand_out(self, time: float) -> list[CapturedCorrections]:
+        """Give the correction that a push was, as soon as it has ended."""
+        pushes = self._meant(time)
+        ended = bool(pushes) and pushes[-1].end < time - self._config.correction.merge_gap
+        if not ended or self._log.going_on or len(pushes) == self._pushes:
+            return []
+        self._pushes = len(pushes)
+        try:
+            corrections, _ = self._corrections(self._tracked_run(*self._record.so_far(), pushes, time))
+        except InputError:
+            return []  # the end of the run says it
+        known = self._known(corrections)
+        if known == len(corrections):
+            return []
+        self._handed_out = corrections[-1].interval[1]
+        return [CapturedCorrections(time=self._handed_out, motion_id=self._motion_id, touched=True,
+                                    corrections=tuple(corrections), reason="", known=known, goes_on=True)]
 
     def _begin(self, time: float, mode: TeachingMode, motion_id: str) -> None:
         if mode in (TeachingMode.TRACK, TeachingMode.GUIDE) and not self._record.running:
             self._record.start()
         self._mode, self._motion_id, self._began = mode, motion_id, time
+        self._pushes, self._handed_out = 0, -math.inf
         self._progress = []
         self._log.forget_ended()
 
@@ -193,7 +218,7 @@ class FeedbackCapture:
 
     def _finish_tracked(self, time: float, mode: TeachingMode) -> CapturedCorrections:
         times, positions = self._record.stop()
-        meant = [t for t in self._log.touches if t.meant and t.end >= self._began and t.onset <= time]
+        meant = self._meant(time)
         if mode is TeachingMode.STOPPED:  # what stopped the arm was a collision or a fault, whatever it felt like here
             meant = [t for t in meant if t.end < time - STOPPING_TIME]
         corrections: list[CorrectedSpan] = []
@@ -205,7 +230,16 @@ class FeedbackCapture:
         except InputError as error:
             reason = str(error) if meant else ""
         return CapturedCorrections(time=time, motion_id=self._motion_id, touched=bool(meant),
-                                   corrections=tuple(corrections), reason=reason, run=run)
+                                   corrections=tuple(corrections), reason=reason, run=run,
+                                   known=self._known(corrections))
+
+    def _known(self, corrections: list[CorrectedSpan]) -> int:
+        """Count the corrections that were handed out while the run went on."""
+        return sum(span.interval[1] <= self._handed_out for span in corrections)
+
+    def _meant(self, time: float) -> list[Touch]:
+        """Give the touches of the present run that were meant."""
+        return [t for t in self._log.touches if t.meant and t.end >= self._began and t.onset <= time]
 
     def _tracked_run(self, times: Array, positions: Array, meant: list[Touch], end: float) -> TrackedRun:
         kept = (times >= self._began) & (times <= end)

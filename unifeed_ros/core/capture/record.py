@@ -59,16 +59,25 @@ class JointRecord:
         """Keep every sample from now on, and those of the pre-roll."""
         self._running, self._started, self.full = True, None, False
 
-    def stop(self) -> tuple[Array, Array]:
-        """End the record and forget it.
+    def so_far(self) -> tuple[Array, Array]:
+        """Give the record.
 
         Returns:
             Stamps, shape (N,) [s], and joint positions, shape (N, n) [rad]; N may be 0.
         """
         times = np.array([time for time, _ in self._samples])
         positions = np.array([positions for _, positions in self._samples]) if self._samples else np.empty((0, 0))
-        self.clear()
         return times, positions
+
+    def stop(self) -> tuple[Array, Array]:
+        """End the record and forget it.
+
+        Returns:
+            As so_far.
+        """
+        record = self.so_far()
+        self.clear()
+        return record
 
     def clear(self) -> None:
         """Forget everything, the pre-roll too, and do not run."""

@@ -37,6 +37,11 @@ class TouchLog:
         self._going_on = False
 
     @property
+    def going_on(self) -> bool:
+        """True while somebody touches the arm."""
+        return self._going_on
+
+    @property
     def touches(self) -> tuple[Touch, ...]:
         """Touches so far, in order, one that goes on included."""
         return tuple(self._touches)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from unifeed_ros.core.control.arbitration import Arbitration
@@ -87,18 +89,24 @@ class SharedController:
         self._reference = Reference(start, None, self.robot, self.config)
         self._enter(TeachingMode.GUIDE, "weightless; guide the arm by hand")
 
-    def track(self, trajectory: Trajectory, motion_id: str, state: RobotState) -> None:
-        """Carry out a motion; the person may push at any moment.
+    def track(self, trajectory: Trajectory, motion_id: str, state: RobotState, patience: float = 0.0) -> None:
+        """Carry out a motion, also in place of another one; the person may push at any moment.
 
         Args:
             trajectory: The motion; its first point is where the arm is.
             motion_id: Name of the motion.
             state: Measured state.
+            patience: After a person has pushed the arm aside: how long it waits there for another motion, before it
+                comes back to this one [s].
 
         Raises:
-            InputError: The arm is stopped, the state cannot be used, or the motion is of another arm, beyond the limits
-                or starts elsewhere.
+            InputError: The arm is stopped, a person leads another motion, the state cannot be used, or the motion is of
+                another arm, beyond the limits or starts elsewhere. What the arm did goes on.
         """
+        if not 0.0 <= patience < math.inf:
+            raise InputError("patience of a motion", expected=">= 0 s and finite", got=patience)
+        if self.mode is TeachingMode.TRACK and self._arbitration.level > self.config.yield_start:
+            raise InputError("a person pushes the arm", mend="wait until they let go")
         if self.mode is TeachingMode.STOPPED:
             raise InputError("the arm is stopped", got=self._message, mend="choose hold or guide first")
         robot = self.robot
@@ -112,7 +120,7 @@ class SharedController:
                              expected=f"within {self.config.start_tolerance} rad of the arm",
                              mend="move to its start first")
         self._motion = SampledMotion(trajectory)
-        self._reference = Reference(start, self._motion, robot, self.config)
+        self._reference = Reference(start, self._motion, robot, self.config, patience)
         self._enter(TeachingMode.TRACK, f"carrying out {motion_id}")
         self._motion_id = motion_id
 
@@ -125,6 +133,14 @@ class SharedController:
         if self.mode is not TeachingMode.STOPPED:
             self._braking = None
             self._enter(TeachingMode.STOPPED, f"stopped: {reason}")
+
+    def tell(self, message: str) -> None:
+        """Say something else about what the arm goes on doing.
+
+        Args:
+            message: A sentence for a person.
+        """
+        self._message = message
 
     def deactivate(self) -> None:
         """Send nothing more; the arm holds itself."""

@@ -25,6 +25,10 @@ WAITING_OFFSET = 0.3
 """Distance of a joint from the motion at which motion time runs at half its rate, to wait for the arm [rad]."""
 CATCH_UP_TIME = 1.0
 """Lost time that is made up for at a rate one higher, before limits [s]."""
+HANDED_BACK = 0.5
+"""Share of the robot above which the person has let go [1]."""
+SHIFTED = 0.03
+"""Distance of a joint from the motion beyond which the person has changed it, and another one may come [rad]."""
 
 
 class Reference:
@@ -37,14 +41,19 @@ class Reference:
     stands still ("wait", "retime"; after "retime" it runs faster until the lost time is made up for). All blend with
     the robot's share, so the position never jumps.
 
+    With a patience, an arm that was pushed aside waits there for another motion, as long as the patience lasts, before
+    it does any of that.
+
     Args:
         start: Setpoint to go on from without a jump; its speed fades within the limits.
         motion: Motion to carry out; None to hold where the arm is, or where the person leaves it.
         robot: The arm, for its limits.
         config: Settings.
+        patience: How long the arm waits where it was pushed to [s].
     """
 
-    def __init__(self, start: Setpoint, motion: SampledMotion | None, robot: RobotModel, config: ControlConfig) -> None:
+    def __init__(self, start: Setpoint, motion: SampledMotion | None, robot: RobotModel, config: ControlConfig,
+                 patience: float = 0.0) -> None:
         self._motion = motion
         self._zero = np.zeros(robot.n)
         self._anchor = Setpoint(np.array(start.positions), self._zero, self._zero)
@@ -55,6 +64,7 @@ class Reference:
         if motion is not None and config.during_contact == "retime":
             self._fastest_rate = motion.fastest_rate(robot.velocity_limits, robot.acceleration_limits)
         self._lost = 0.0
+        self._patience, self._waits = patience, 0.0
         self.time = 0.0
         """Time within the motion [s]."""
         self._rate = 1.0
@@ -96,7 +106,7 @@ class Reference:
         assert self._motion is not None
         distance = max(map(abs, (self.offset - self._left_now()).tolist())) / WAITING_OFFSET
         made_up = min(self._fastest_rate - 1.0, self._lost / CATCH_UP_TIME)
-        rate = authority * (1.0 + made_up) / (1.0 + distance * distance)
+        rate = authority * (1.0 + made_up) / (1.0 + distance * distance) if self._waits == 0.0 else 0.0
         if authority < 0.99 and self._config.during_contact == "follow":
             ahead = self._motion.nearest(positions, self.time) - self.time
             rate += (1.0 - authority) * min(FASTEST_RATE, SEARCH_GAIN * ahead)
@@ -118,11 +128,14 @@ class Reference:
         if authority < 1.0:
             self.offset += (gap - self.offset) * min(1.0, (1.0 - authority) * FOLLOW_GAIN * dt)
             self._left, self._left_at = self.offset.copy(), self.time
+        if authority < HANDED_BACK:
+            self._waits = self._patience if max(map(abs, self.offset.tolist())) > SHIFTED else 0.0
+        self._waits = max(0.0, self._waits - dt)
         if dt == 0.0:
             return self._zero
         w, before = self._frequency, self._offset_velocity
         pull = -2.0 * w * before
-        if self._motion is not None:
+        if self._motion is not None and self._waits == 0.0:
             pull -= authority * w * w * (self.offset - self._left_now())
         velocity = before + np.minimum(np.maximum(pull, -self._sharpest), self._sharpest) * dt
         self._offset_velocity = np.minimum(np.maximum(velocity, -self._fastest), self._fastest)
