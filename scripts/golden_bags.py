@@ -58,8 +58,8 @@ AROUND = 0.7
 """Time kept before and after a guided or touched run [s]: capture's pre-roll, and the end of its touch."""
 BIAS = 1.0
 """Time kept at the start, in which the contact detector learns the sensors' bias [s]."""
-BEFORE, AFTER = 0.5, 1.4
-"""Time kept before a fault begins, and after [s]: a wire is broken for one second."""
+BEFORE, AFTER, AFTER_KILL = 0.4, 1.3, 2.2
+"""Time kept before a fault begins, and after [s]: a wire is broken for one second, a dead session is noticed in two."""
 LEAD = 3.0
 """Time kept before the first fault, in which the arm holds and then begins to move [s]."""
 FAST = ("/joint_states", "/external_torques", "/teaching_state")
@@ -233,10 +233,10 @@ def cut(bag: Path, out: Path) -> None:
 def cut_faults(bag: Path, out: Path) -> None:
     """Copy a recording of faults: its marks, what was said from the first one on, and the fast topics around each."""
     marks = bag_info(bag).marks
-    begins = [time for time, text in marks if text != MENDED]
+    begins = [(time, AFTER_KILL if text.startswith("kill") else AFTER) for time, text in marks if text != MENDED]
     second = 10**9
-    first, last = begins[0] - round(LEAD * second), marks[-1][0] + second
-    kept = [(first, begins[0]), *((t - round(BEFORE * second), t + round(AFTER * second)) for t in begins)]
+    first, last = begins[0][0] - round(LEAD * second), marks[-1][0] + second
+    kept = [(first, begins[0][0]), *((t - round(BEFORE * second), t + round(after * second)) for t, after in begins)]
 
     def worth(message: BagMessage) -> bool:
         return message.topic not in FAST or any(a <= message.time <= b for a, b in kept)

@@ -30,7 +30,7 @@ from unifeed_ros.cli.monitor import SessionMonitor
 from unifeed_ros.cli.processes import NodeProcesses, node_environment
 from unifeed_ros.core.control.safety import LONGEST_TICK
 from unifeed_ros.core.recording import bag_info, read_bag
-from unifeed_ros.core.robot import load_robot
+from unifeed_ros.core.robot import RobotModel, load_robot
 from unifeed_ros.nodes.joint_stream import JointReader
 from unifeed_ros.nodes.table import NodeSpec, SessionSetup, node_table
 from unifeed_ros.nodes.topics import subscriber_qos
@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
         with _Wire(setup, out) as wire, NodeProcesses(specs, out / "logs") as processes:
             trial = _Trial(monitor, processes, wire)
             rows = [trial.tries(name, options.tries, np.random.default_rng(options.seed)) for name in chosen]
-    rates = largest_rates(out / "bag", load_robot(setup.parameter_files[0]).joint_names)
+    rates = largest_rates(out / "bag", RobotModel(load_robot(setup.parameter_files[0])).joint_names)
     rows = [{**row, "torque_rate_max": rates.get(row["fault"], float("nan"))} for row in rows]
     table = {"machine": {"cpus": os.cpu_count(), "load": os.getloadavg()[0]}, "faults": rows}
     (out / "faults.json").write_text(json.dumps(table, indent=2) + "\n")
