@@ -40,9 +40,9 @@ ROOMY, TIGHT = (replace(SCENE, workspace=tuple(np.array(SCENE.workspace) + np.re
                 for room in (0.002, -0.01))
 """The same with 2 mm more room, up to which motions are taken that the planner's dense check finds outside; and with
 1 cm less, for the one plan in a thousand that otherwise leaves it by more between two way-points."""
-PLANNER = PlannerConfig(waypoints=WAYPOINTS, time_budget=60.0, whole_arm=False, tolerance=1e-3)
+PLANNER = PlannerConfig(waypoints=WAYPOINTS, time_budget=60.0, whole_arm=False, tolerance=1e-2)
 """For all methods alike; it ends a quarter sooner than with the default tolerance, within 0.1 % of the return."""
-OPTIMUM = replace(PLANNER, starts=6, halving=0, smoothness=0.1 * PLANNER.smoothness, tolerance=2e-4)
+OPTIMUM = replace(PLANNER, starts=6, halving=0, smoothness=0.1 * PLANNER.smoothness, tolerance=2e-3)
 """For a person's optimum: more starts, and the arm's limits rather than taste decide how fast it is."""
 PERSON = PersonConfig()
 """Pace and smooth error of a demonstration, as of the people of lessons."""

@@ -215,6 +215,31 @@ def test_a_bad_state_stops_and_the_last_good_one_holds_the_weight(robot, what, w
         controller.hold(bad)
 
 
+def test_an_arm_whose_joints_are_swapped_is_braked_and_left_to_its_driver(robot):
+    """Torques for a posture that it is not in would throw it; after a moment it is left to its driver."""
+    loop = Loop(robot)
+    loop.start_tracking()
+    loop.run(1.0)
+    before = loop.arm.true_positions
+    true_state, swapped = loop.arm.state, np.roll(np.arange(robot.n), 1)
+
+    def swap():
+        state = true_state()
+        return RobotState(time=state.time, positions=state.positions[swapped], velocities=state.velocities[swapped])
+
+    loop.arm.state = swap
+    loop.run(1.0)
+    assert loop.commands[-1].mode is TeachingMode.STOPPED and "jumped" in loop.commands[-1].message
+    assert np.abs(loop.arm.true_positions - before).max() < 0.15
+    assert loop.commands[-1].torque is None
+    stopped = [command for command in loop.commands if command.mode is TeachingMode.STOPPED]
+    assert 0.08 < PERIOD * sum(command.torque is not None for command in stopped) < 0.12
+    loop.arm.state = true_state
+    loop.controller.hold(loop.arm.state())
+    loop.run(1.0)
+    assert loop.commands[-1].mode is TeachingMode.HOLD
+
+
 @pytest.mark.parametrize("torque", [np.zeros(2), np.full(7, np.nan), np.full(6, np.inf)])
 def test_a_bad_external_torque_stops(robot, torque):
     controller, state = tracking_controller(robot)

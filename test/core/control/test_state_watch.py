@@ -29,8 +29,18 @@ def test_a_jump_names_the_joint_and_permuted_values_are_one():
     jumped = REST.copy()
     jumped[1] += 0.2
     assert "panda_joint2 jumped by 0.20 rad in 2 ms" in watch.fault_of(state(0.002, jumped), 0.0)
-    assert watch.fault_of(state(0.004, jumped), 0.0) is None
-    assert "jumped" in watch.fault_of(state(0.006, np.roll(REST, 1)), 0.0)
+    assert "jumped" in watch.fault_of(state(0.004, np.roll(REST, 1)), 0.0)
+
+
+def test_after_a_jump_only_states_near_the_last_good_one_are_trusted_or_one_that_is_accepted():
+    watch, permuted = StateWatch(ROBOT, ControlConfig()), np.roll(REST, 1)
+    watch.fault_of(state(0.0), 0.0)
+    for time in (0.002, 0.5, 2.0):
+        assert "jumped" in watch.fault_of(state(time, permuted), 0.0) and watch.doubted
+    assert watch.fault_of(state(2.002, REST + 0.1), 0.0) is None and not watch.doubted
+    assert watch.fault_of(state(2.004, permuted), 0.0) is not None
+    watch.accept(state(2.006, permuted))
+    assert watch.fault_of(state(2.008, permuted), 0.0) is None and not watch.doubted
 
 
 def test_a_pause_of_the_messages_is_no_jump():

@@ -59,7 +59,7 @@ class SharedController:
         self._motion_id, self._message = "", "no mode chosen yet"
         self._state: RobotState | None = None
         self._braking: Braking | None = None
-        self._now, self._blind = 0.0, 0.0
+        self._now, self._blind, self._unseen = 0.0, 0.0, 0.0
         self._force, self._ticks = 0.0, 0
         self._zero = np.zeros(robot.n)
 
@@ -179,12 +179,16 @@ class SharedController:
         fresh = self.check_fresh(now - state.time)
         usable = self._check(state)
         dt = 0.0
+        self._unseen = 0.0 if fresh and usable else self._unseen + min(max(period, 0.0), LONGEST_TICK)
         if usable:
             dt = min(max(state.time - self._state.time, 0.0), LONGEST_TICK) if self._state is not None else 0.0
             self._state = state
             self._listen(state, external_torque, dt)
             self._settle(state, dt)
-        if self._state is None or self.mode is TeachingMode.INACTIVE:
+        if self._unseen > self.config.stale_after:
+            self._safety.start_from(None)
+            self._sent = None
+        if self._state is None or self.mode is TeachingMode.INACTIVE or self._unseen > self.config.stale_after:
             return self._answer(None, period)
         wanted = self._torque(state, dt) if fresh and usable else self._blind_torque(self._state)
         weight = self._law.weight(self._state.positions)
@@ -205,6 +209,7 @@ class SharedController:
         if usable:
             speeds = self._reference.setpoint.velocities.tolist() if self._motion and self._reference else (0.0,)
             fault = self._watch.fault_of(state, max(max(speeds), -min(speeds))) or fault
+            usable = not self._watch.doubted or self.mode is TeachingMode.INACTIVE
         if fault is not None and self.mode is not TeachingMode.INACTIVE:
             self.stop(fault)
         return usable
@@ -223,6 +228,7 @@ class SharedController:
         fault = self._safety.fault_of(state)
         if fault is not None:
             raise InputError(fault, mend="let the arm come to rest, and check its driver")
+        self._watch.accept(state)
         if self.mode is TeachingMode.INACTIVE:
             self._now, self._blind = state.time, 0.0
         if self.mode in (TeachingMode.HOLD, TeachingMode.TRACK) and self._reference is not None:
@@ -303,8 +309,14 @@ class SharedController:
         return self._law.soft_hold(state.positions, state.velocities, setpoint, part)
 
     def _blind_torque(self, state: RobotState) -> Array:
-        """Say what to send while no usable state comes; the arm is stopped then."""
-        return self._zero if self.config.stop_category == "zero" else self._law.weight(state.positions)
+        """Say what to send for a moment without a usable state: the weight where the arm was, and what takes its speed.
+
+        Not for longer: an arm whose weight is held unseen falls ever faster, and its driver knows better.
+        """
+        if self.config.stop_category == "zero":
+            return self._zero
+        rate = 1.0 / self.config.stop_time
+        return self._law.braking(state.positions, rate * math.exp(-rate * self._unseen) * state.velocities)
 
     def _finished(self) -> bool:
         reference, state = self._reference, self._state

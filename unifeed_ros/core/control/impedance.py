@@ -46,6 +46,18 @@ class ImpedanceLaw:
         """
         return np.array(pin.computeGeneralizedGravity(self._model, self._data, positions))
 
+    def braking(self, positions: Array, deceleration: Array) -> Array:
+        """Compute torques that hold the weight and slow the arm down without looking at it.
+
+        Args:
+            positions: Where it was last seen, shape (n,) [rad].
+            deceleration: Wanted, shape (n,) [rad/s^2].
+
+        Returns:
+            Torques, shape (n,) [Nm].
+        """
+        return np.array(pin.rnea(self._model, self._data, positions, self._zero, -deceleration))
+
     def torque(self, positions: Array, velocities: Array, setpoint: Setpoint, share: float,
                free_damping: float) -> Array:
         """Compute the torques towards a setpoint.

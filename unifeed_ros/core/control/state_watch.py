@@ -10,6 +10,9 @@ from unifeed_ros.core.types import RobotState
 
 JUMP = 0.05
 """Way beyond what the speed limits allow that counts as a jump of the sensor [rad]."""
+TRUSTED_S = 0.05
+"""Time for which the speed limits are allowed for when states after a jump are compared with the last one before it:
+what is farther away is still wrong, however long ago that was [s]."""
 MOVING = 0.05
 """Speed of the reference at which an arm that does not move at all is taken for a frozen driver [rad/s]."""
 
@@ -27,6 +30,16 @@ class StateWatch:
         self._fastest = 2.0 * np.maximum(robot.pin_model.velocityLimit, robot.velocity_limits)
         self._last: RobotState | None = None
         self._unchanged = 0.0
+        self.doubted = False
+        """True from a jump on until states are near the last one before it again, or one is accepted."""
+
+    def accept(self, state: RobotState) -> None:
+        """Take a state as true, whatever came before: somebody looked at the arm.
+
+        Args:
+            state: Measured state.
+        """
+        self._last, self._unchanged, self.doubted = state, 0.0, False
 
     def fault_of(self, state: RobotState, wanted_speed: float) -> str | None:
         """Take in one state.
@@ -38,15 +51,18 @@ class StateWatch:
         Returns:
             What is wrong, as a clause for a person; None if nothing is.
         """
-        last, self._last = self._last, state
+        last = self._last
         if last is None or state.time <= last.time:
+            self._last = last if self.doubted else state
             return None
         dt = state.time - last.time
         moved = state.positions - last.positions
-        beyond = np.abs(moved) - self._fastest * dt
-        if max(beyond.tolist()) > JUMP:
+        beyond = np.abs(moved) - self._fastest * (min(dt, TRUSTED_S) if self.doubted else dt)
+        self.doubted = max(beyond.tolist()) > JUMP
+        if self.doubted:
             joint = int(beyond.argmax())
             return f"the position of {self._names[joint]} jumped by {moved[joint]:.2f} rad in {1e3 * dt:.0f} ms"
+        self._last = state
         same = not moved.any() and np.array_equal(state.velocities, last.velocities)
         self._unchanged = self._unchanged + dt if same and wanted_speed > MOVING else 0.0
         if self._unchanged > self._config.stale_after:

@@ -214,6 +214,26 @@ class PlanningProblem:
             clearances=over.values[free] - self._margins[free], clearance_jacobians=over.jacobians[free],
             rate_jacobians=None if over.rate_jacobians is None else over.rate_jacobians[free])
 
+    def reward_curvature(self, at: Evaluation, step: float) -> Array:
+        """Measure the curvature of the reward's part of the cost by forward differences of its gradient.
+
+        Args:
+            at: Where.
+            step: Change of each joint [rad].
+
+        Returns:
+            Symmetric, at each free way-point, shape (m, n, n) [1/rad^2].
+
+        Raises:
+            PlanningError: The gradient is not finite.
+        """
+        m, n = len(self.free), self.joints
+        beside = at.waypoints[self.free] + step * np.eye(n)[:, None]
+        pose = self._kinematics.evaluate(beside.reshape(n * m, n))
+        to_joints = (self._reward(pose.states)[1][:, None] @ pose.state_jacobians)[:, 0]
+        changes = (-to_joints.reshape(n, m, n) / self.scale - at.reward_gradients) / step
+        return 0.5 * (changes.transpose(1, 0, 2) + changes.transpose(1, 2, 0))
+
     def rate_shares(self, waypoints: Array) -> Array:
         """Compute rates over their limits, shape (R, n); feasible between -1 and 1."""
         return np.asarray((self.rates @ waypoints) / self.rate_limits)

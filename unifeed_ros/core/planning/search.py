@@ -92,7 +92,7 @@ class Search:
         for start in starts:
             first = problem.evaluate(start)
             self._keep(first)
-            blocks = first_curvature(problem) if known is None else kept_curvature(known)
+            blocks = first_curvature(problem, first) if known is None else kept_curvature(known)
             runs.append(_Run(first, blocks, iterations(problem, subproblem, first, blocks, self._config)))
             if self.has_ended() or not self._go_on(problem, runs[-1]):
                 return

@@ -13,8 +13,10 @@ from unifeed_ros.core.types import Array
 
 PENALTY = 50.0
 """Cost of a metre below a bound at one way-point, in the reward's spread [1/m]."""
-_FIRST_CURVATURE = 0.5
-"""Curvature of the reward's cost before any is known [1/rad^2]."""
+_SAMPLED = 0.1
+"""Distance over which the first curvature is measured: a learned reward's ridges count as curvature then [rad]."""
+_LEAST_CURVATURE = 0.05
+"""Smallest curvature that a search starts with [1/rad^2]."""
 _KEPT_CURVATURES = 0.1, 100.0
 """Smallest and largest curvature that the next problem starts with: a ridge that was crossed is not met again."""
 _SMALLEST_RADIUS = 1e-3
@@ -29,9 +31,19 @@ _LAST = 2
 """Iterations in a row that gain too little, with which a search ends."""
 
 
-def first_curvature(problem: PlanningProblem) -> Array:
-    """Guess each free way-point's curvature of the reward's cost, shape (m, n, n) [1/rad^2]."""
-    return np.tile(_FIRST_CURVATURE * np.eye(problem.joints), (len(problem.free), 1, 1))
+def first_curvature(problem: PlanningProblem, at: Evaluation) -> Array:
+    """Measure each free way-point's curvature of the reward's cost, made positive by its magnitude.
+
+    Args:
+        problem: What is solved.
+        at: Where.
+
+    Returns:
+        Shape (m, n, n) [1/rad^2].
+    """
+    values, axes = np.linalg.eigh(problem.reward_curvature(at, _SAMPLED))
+    values = np.maximum(np.abs(values), _LEAST_CURVATURE)
+    return np.asarray((axes * values[:, None]) @ axes.transpose(0, 2, 1))
 
 
 def kept_curvature(blocks: Array) -> Array:
@@ -62,19 +74,18 @@ def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evalua
         PlanningError: The reward is not finite.
     """
     radius, small = config.trust_radius, 0
-    enough = config.tolerance * problem.count
     for _ in range(config.max_iterations):
         step = subproblem.solve(present, blocks, radius, PENALTY)
         predicted = PENALTY * float(present.shortfalls.sum() - step.shortfalls.sum()) - step.cost
         trial = problem.evaluate(_along(problem, present, step.change))
         ratio = (merit(present) - merit(trial)) / max(predicted, 1e-12)
         blocks[:] = updated_curvature(blocks, step.change, trial.reward_gradients - present.reward_gradients)
-        if ratio < _POOR and predicted > enough:
+        if ratio < _POOR and predicted > config.tolerance:
             trial = min(trial, problem.evaluate(_along(problem, present, _SHORTER * step.change)), key=merit)
         achieved, largest = merit(present) - merit(trial), float(np.abs(step.change).max())
         if achieved > max(0.0, 1e-3 * predicted):
             present = trial
-        small = small + 1 if max(predicted, achieved) < enough else 0
+        small = small + 1 if max(predicted, achieved) < config.tolerance else 0
         if ratio < 0.25:
             radius = (1.0 if achieved > 0 else _SHRINK) * min(radius, largest)
         elif ratio > 0.75 and largest > 0.9 * radius:
