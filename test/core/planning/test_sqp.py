@@ -23,22 +23,24 @@ def make_problem(case, reward, config, duration=3.0):
 
 def _search(problem, config):
     first = problem.evaluate(StartRepair(problem).line)
-    return [first, *iterations(problem, Subproblem(problem), first, first_curvature(problem), config)]
+    return [first, *iterations(problem, Subproblem(problem), first, first_curvature(problem, first), config)]
 
 
 def test_what_was_learned_of_curvature_shortens_the_search_of_nearly_the_same_problem(case, rewards):
     config, counts = PlannerConfig(), {"fresh": 0, "learned": 0}
     for seed in range(3):
         problem = make_problem(case, rewards["network"](seed), config)
-        start, learned = problem.evaluate(StartRepair(problem).line), first_curvature(problem)
+        start = problem.evaluate(StartRepair(problem).line)
+        learned = first_curvature(problem, start)
         *_, end = iterations(problem, Subproblem(problem), start, learned, config)
         missed = np.zeros((100, end.clearances.shape[1]))
         missed[40:60] = 0.005
         raised = problem.raised(end.waypoints, missed, np.zeros(problem.joints))
-        for name, blocks in (("fresh", first_curvature(raised)), ("learned", kept_curvature(learned))):
-            steps = list(iterations(raised, Subproblem(raised), raised.evaluate(end.waypoints), blocks, config))
+        again = raised.evaluate(end.waypoints)
+        for name, blocks in (("fresh", first_curvature(raised, again)), ("learned", kept_curvature(learned))):
+            steps = list(iterations(raised, Subproblem(raised), again, blocks, config))
             counts[name] += len(steps)
-            assert merit(steps[-1]) <= merit(raised.evaluate(end.waypoints))
+            assert merit(steps[-1]) <= merit(again)
     assert counts["learned"] < counts["fresh"]
 
 
@@ -50,6 +52,24 @@ def test_curvature_stays_positive_definite(seed, bend):
         change = rng.normal(scale=0.1, size=(4, 3))
         blocks = updated_curvature(blocks, change, bend * change + rng.normal(scale=0.1, size=(4, 3)))
         assert np.linalg.eigvalsh(blocks).min() > 0
+
+
+def test_first_curvature_is_that_of_a_quadratic_cost(panda, rewards):
+    problem = make_problem(panda, rewards["near"](np.array([0.5, 0.0, 0.4])), PlannerConfig())
+    at = problem.evaluate(StartRepair(problem).line)
+    measured = problem.reward_curvature(at, 1e-4)
+    for k in (0, 7, len(problem.free) - 1):
+        for joint in range(problem.joints):
+            gradients = []
+            for sign in (1.0, -1.0):
+                moved = at.waypoints.copy()
+                moved[problem.free[k], joint] += sign * 1e-4
+                gradients.append(problem.evaluate(moved).reward_gradients[k])
+            expected = (gradients[0] - gradients[1]) / 2e-4
+            np.testing.assert_allclose(measured[k, joint], expected, atol=2e-3 * np.abs(measured[k]).max())
+    blocks = first_curvature(problem, at)
+    np.testing.assert_allclose(blocks, blocks.transpose(0, 2, 1), atol=1e-12)
+    assert np.linalg.eigvalsh(blocks).min() >= 0.05 - 1e-9
 
 
 def test_curvature_meets_the_secant_where_the_cost_is_convex():
@@ -83,13 +103,13 @@ def test_smoothest_motion_is_the_linear_systems_solution(case):
     optimal = problem.evaluate(problem.complete(exact.reshape(len(problem.free), -1)))
     assert np.abs(problem.rate_shares(optimal.waypoints)).max() < 1.0
     assert optimal.violation == 0.0
-    assert found.cost == pytest.approx(optimal.cost, abs=config.tolerance * problem.count)
+    assert found.cost == pytest.approx(optimal.cost, abs=2.0 * config.tolerance)
     np.testing.assert_allclose(found.waypoints, optimal.waypoints, atol=0.02)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_optimum_is_as_good_as_slsqps(panda, rewards, seed):
-    config = PlannerConfig(waypoints=9, tolerance=1e-6, max_iterations=150)
+    config = PlannerConfig(waypoints=9, tolerance=1e-5, max_iterations=150)
     problem = make_problem(panda, rewards["network"](seed), config)
     found = _search(problem, config)[-1]
     peer = solve_with_slsqp(problem, straight_line(problem), exact=True)
