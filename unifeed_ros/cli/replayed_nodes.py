@@ -159,7 +159,7 @@ class PlannerReplay:
     """Gives the planner each recorded model and asks for every recorded motion again.
 
     A recording does not hold action goals: a motion that ends at the task's start was the smoothest one from where the
-    arm was, every other one the task's own. The planner's search ends by wall-clock time, so that a busy machine may
+    arm was, one that begins elsewhere the rest of the task's after a push, every other one the task's own. The planner's search ends by wall-clock time, so that a busy machine may
     find another motion.
     """
 
@@ -191,11 +191,16 @@ class PlannerReplay:
 
     def _plan(self, player: Player, msg: Any) -> Comparison:
         then = trajectory_from_msg(msg, self._robot.joint_names)
-        back = float(np.abs(then.positions[-1] - self._start).max()) < AT_START
+        back, whole = (float(np.abs(end - self._start).max()) < AT_START for end in then.positions[[-1, 0]])
         goal = OptimizeTrajectory.Goal(smoothest=back)
+        if back or not whole:
+            goal.start = list(map(float, then.positions[0]))
         if back:
-            goal.start, goal.goal = list(map(float, then.positions[0])), list(map(float, self._start))
-        name = f"motion {len(self._compared) + 1} ({'back to the start' if back else 'the task'})"
+            goal.goal = list(map(float, self._start))
+        elif not whole:
+            goal.duration = then.duration
+        kind = "back to the start" if back else "the task" if whole else "the rest of the task"
+        name = f"motion {len(self._compared) + 1} ({kind})"
         result = player.act(self.name, OptimizeTrajectory, "optimize_trajectory", goal, ANSWER_S)
         if not result.success:
             return Comparison(what=name, same=False, message=result.message)
