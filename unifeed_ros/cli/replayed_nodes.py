@@ -159,8 +159,8 @@ class PlannerReplay:
     """Gives the planner each recorded model and asks for every recorded motion again.
 
     A recording does not hold action goals: a motion that ends at the task's start was the smoothest one from where the
-    arm was, one that begins elsewhere the rest of the task's after a push, every other one the task's own. The planner's search ends by wall-clock time, so that a busy machine may
-    find another motion.
+    arm was, one that begins elsewhere the rest of the task's after a push, every other one the task's own. The
+    planner's search ends by wall-clock time, so that a busy machine may find another motion.
     """
 
     name = "trajectory_optimizer"

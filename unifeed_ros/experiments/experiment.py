@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # processes that run people wait for neither pandas nor the s
     import pandas as pd
 
 EXPERIMENTS: Mapping[str, str] = {
-    name: f"unifeed_ros.experiments.{name}" for name in ("features", "preferences", "deformations")}
+    name: f"unifeed_ros.experiments.{name}" for name in ("multimodal", "features", "preferences", "deformations")}
 """Module of each experiment, which holds it as EXPERIMENT; loaded only when it is asked for."""
 KEYS = ("experiment", "task", "method", "person", "interaction")
 """Columns that every row has, and by which rows are sorted."""

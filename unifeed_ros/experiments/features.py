@@ -65,39 +65,41 @@ class Lesson:
         return TrajectoryPerson(self.optimum.yardstick, self.seed)
 
 
-@lru_cache(maxsize=1)
-def _robot() -> RobotModel:
-    return RobotModel(load_robot(config_path("robots", "ur10")))
+@lru_cache(maxsize=2)
+def _robot(name: str) -> RobotModel:
+    return RobotModel(load_robot(config_path("robots", name)))
 
 
-def scene_of(task: str, person: int, settings: RunSettings) -> Scene:
+def scene_of(task: str, person: int, settings: RunSettings, robot: str = "ur10") -> Scene:
     """Draw a person's start and goal near the task's own.
 
     Args:
         task: Name of the task.
         person: Number of the person.
         settings: Seed.
+        robot: Name of the arm.
 
     Returns:
         The task between them.
     """
     place = int(settings.rng(person, 1).integers(2**31))
-    return next(random_pairs(_robot(), load_scene(config_path("tasks", task)), PlannerConfig(), seed=place)).scene
+    return next(random_pairs(_robot(robot), load_scene(config_path("tasks", task)), PlannerConfig(), seed=place)).scene
 
 
-def lesson_of(task: str, person: int, settings: RunSettings) -> Lesson:
+def lesson_of(task: str, person: int, settings: RunSettings, robot: str = "ur10") -> Lesson:
     """Prepare a person's lesson.
 
     Args:
         task: Name of the task.
         person: Number of the person.
         settings: Seed.
+        robot: Name of the arm.
 
     Returns:
         The lesson, with the optimum of the person's scene.
     """
-    planner, scene = PlannerConfig(), scene_of(task, person, settings)
-    return Lesson(robot=_robot(), optimum=confirmed_optimum(_robot(), TrueTask(scene=scene), planner),
+    planner, scene, arm = PlannerConfig(), scene_of(task, person, settings, robot), _robot(robot)
+    return Lesson(robot=arm, optimum=confirmed_optimum(arm, TrueTask(scene=scene), planner),
                   seed=(settings.seed, person, list(FEATURES).index(task)), planner=planner)
 
 
