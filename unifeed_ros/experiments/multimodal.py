@@ -42,7 +42,8 @@ class MultimodalConfig:
 
     ours: TrainingConfig = field(default_factory=TrainingConfig)
     """Of ours, whatever it learns from."""
-    rric: RricConfig = field(default_factory=RricConfig)
+    rric: RricConfig = field(default_factory=lambda: RricConfig(
+        demonstration_rationality=50.0, correction_rationality=50.0, preference_rationality=2.0))
     """Of RRIC."""
     questions: QueryConfig = field(default_factory=QueryConfig)
     """How questions are chosen, alike for all."""
