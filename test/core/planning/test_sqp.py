@@ -11,7 +11,7 @@ from unifeed_ros.baselines.slsqp import solve_with_slsqp
 from unifeed_ros.core.planning.check import motion_bounds
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.problem import PlanningProblem
-from unifeed_ros.core.planning.sqp import first_curvature, iterations, kept_curvature, merit, updated_curvature
+from unifeed_ros.core.planning.sqp import first_curvature, iterations, merit, updated_curvature
 from unifeed_ros.core.planning.starts import StartRepair, straight_line
 from unifeed_ros.core.planning.subproblem import Subproblem
 
@@ -24,24 +24,6 @@ def make_problem(case, reward, config, duration=3.0):
 def _search(problem, config):
     first = problem.evaluate(StartRepair(problem).line)
     return [first, *iterations(problem, Subproblem(problem), first, first_curvature(problem, first), config)]
-
-
-def test_what_was_learned_of_curvature_shortens_the_search_of_nearly_the_same_problem(case, rewards):
-    config, counts = PlannerConfig(), {"fresh": 0, "learned": 0}
-    for seed in range(3):
-        problem = make_problem(case, rewards["network"](seed), config)
-        start = problem.evaluate(StartRepair(problem).line)
-        learned = first_curvature(problem, start)
-        *_, end = iterations(problem, Subproblem(problem), start, learned, config)
-        missed = np.zeros((100, end.clearances.shape[1]))
-        missed[40:60] = 0.005
-        raised = problem.raised(end.waypoints, missed, np.zeros(problem.joints))
-        again = raised.evaluate(end.waypoints)
-        for name, blocks in (("fresh", first_curvature(raised, again)), ("learned", kept_curvature(learned))):
-            steps = list(iterations(raised, Subproblem(raised), again, blocks, config))
-            counts[name] += len(steps)
-            assert merit(steps[-1]) <= merit(again)
-    assert counts["learned"] < counts["fresh"]
 
 
 @given(seed=st.integers(0, 10_000), bend=st.floats(-5.0, 5.0))

@@ -130,7 +130,7 @@ def _search(search: Search, problem: PlanningProblem, starts: Iterable[Array], c
         if found.check.ok or max(found.check.shortfall, float(excess.max())) <= TOLERANCE or search.has_ended():
             break
         problem = problem.raised(search.best.waypoints, found.check.shortfalls, excess)
-        search.improve(problem, [problem.within(search.best.waypoints)], again=True)
+        search.improve(problem, [problem.within(search.best.waypoints)])
         found = _followable(problem, search.best, config)
     return found
 

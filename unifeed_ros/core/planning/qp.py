@@ -56,6 +56,8 @@ class WaypointQP(NamedTuple):
     """Cost of a unit of slack."""
     rate_jacobians: Array | None = None
     """F, shape (m, P, n); None: zero."""
+    rough: bool = False
+    """True: a rough solution will do; solvers may take it."""
 
 
 class QPSolution(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 
 from unifeed_ros.core.planning.config import PlannerConfig
 from unifeed_ros.core.planning.problem import Evaluation, PlanningProblem
-from unifeed_ros.core.planning.sqp import first_curvature, iterations, kept_curvature, merit
+from unifeed_ros.core.planning.sqp import first_curvature, iterations, merit
 from unifeed_ros.core.planning.subproblem import Subproblem
 from unifeed_ros.core.types import Array
 
@@ -48,7 +48,6 @@ class Search:
         self._config, self._on_iteration, self._should_stop = config, on_iteration, should_stop
         self._began = time.perf_counter()
         self._best: Evaluation | None = None
-        self._curvature: Array | None = None
         self.status: Status = "solved"
         self.count = 0
         self.first_feasible = float("nan")
@@ -73,7 +72,7 @@ class Search:
                 self.status = "time_budget"
         return self.status != "solved"
 
-    def improve(self, problem: PlanningProblem, starts: Iterable[Array], *, again: bool = False) -> None:
+    def improve(self, problem: PlanningProblem, starts: Iterable[Array]) -> None:
         """Search a problem from several starts together; what was found for another problem is forgotten.
 
         All go on for a few iterations each, then the worse half is given up, until one is left (successive halving,
@@ -82,23 +81,21 @@ class Search:
         Args:
             problem: What to solve.
             starts: Way-points that keep the linear constraints, shape (H, n) each [rad].
-            again: True: the problem is nearly the last one, and the curvature that was learned there is a good guess.
 
         Raises:
             PlanningError: The reward is not finite, or a start cannot be made feasible.
         """
-        self._best, known = None, self._curvature if again else None
+        self._best = None
         subproblem, runs = Subproblem(problem), []
         for start in starts:
             first = problem.evaluate(start)
             self._keep(first)
-            blocks = first_curvature(problem, first) if known is None else kept_curvature(known)
-            runs.append(_Run(first, blocks, iterations(problem, subproblem, first, blocks, self._config)))
+            blocks = first_curvature(problem, first)
+            runs.append(_Run(first, iterations(problem, subproblem, first, blocks, self._config)))
             if self.has_ended() or not self._go_on(problem, runs[-1]):
                 return
         while runs := sorted((run for run in runs if not run.ended), key=lambda run: _rank(run.present)):
             runs = runs[: -(-len(runs) // 2)]
-            self._curvature = runs[0].blocks
             if not all(self._go_on(problem, run) for run in runs):
                 return
 
@@ -138,8 +135,8 @@ def _rank(at: Evaluation) -> tuple[bool, float]:
 class _Run:
     """The search from one start."""
 
-    def __init__(self, first: Evaluation, blocks: Array, steps: Iterator[Evaluation]) -> None:
-        self.present, self.blocks, self.ended, self._steps = first, blocks, False, steps
+    def __init__(self, first: Evaluation, steps: Iterator[Evaluation]) -> None:
+        self.present, self.ended, self._steps = first, False, steps
 
     def go_on(self) -> bool:
         """Take one iteration; false if there is none any more."""

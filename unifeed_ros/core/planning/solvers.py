@@ -15,6 +15,7 @@ from unifeed_ros.core.types import Array
 
 _OSQP_ITERATIONS = 4000
 _OSQP_TOLERANCE = 1e-4
+_ROUGH_TOLERANCE = 1e-2
 
 
 def make_solver(name: SolverName, constants: QPConstants, tolerance: float = 1e-6) -> QPSolver:
@@ -45,7 +46,7 @@ class _Sparse:
             self._form = SparseForm(self._constants, qp.clearances.shape[1])
             self._backend.forget()
         self._form.fill(qp)
-        x, converged = self._backend.solve(self._form)
+        x, converged = self._backend.solve(self._form, qp.rough)
         if not np.isfinite(x).all():
             return QPSolution(np.zeros_like(qp.gradient), False)
         return QPSolution(np.minimum(np.maximum(self._form.change(x), qp.lower), qp.upper), converged)
@@ -61,15 +62,16 @@ class _Piqp:
     def forget(self) -> None:
         """Make ready for programmes of other patterns."""
         self._solver: Any = piqp.SparseSolver()
-        tolerance, settings = self._tolerance, self._solver.settings
-        settings.eps_abs = settings.eps_rel = tolerance
-        settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = 10.0 * tolerance
+        settings = self._solver.settings
         settings.kkt_solver = piqp.sparse_multistage
         settings.preconditioner_reuse_on_update = True
         self._solve_next = self._solver.setup
 
-    def solve(self, form: SparseForm) -> tuple[Array, bool]:
+    def solve(self, form: SparseForm, rough: bool) -> tuple[Array, bool]:
         """Solve for the variables; true if converged."""
+        tolerance, settings = max(self._tolerance, _ROUGH_TOLERANCE if rough else 0.0), self._solver.settings
+        settings.eps_abs = settings.eps_rel = tolerance
+        settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = 10.0 * tolerance
         self._solve_next(P=form.hessian, c=form.gradient, G=form.rows, h_l=form.lower, h_u=form.upper)
         self._solve_next = self._solver.update
         converged = self._solver.solve() == piqp.PIQP_SOLVED
@@ -87,8 +89,9 @@ class _Osqp:
         """Make ready for programmes of other patterns."""
         self._solver: Any = None
 
-    def solve(self, form: SparseForm) -> tuple[Array, bool]:
-        """Solve for the variables; true if converged."""
+    def solve(self, form: SparseForm, rough: bool) -> tuple[Array, bool]:
+        """Solve for the variables; true if converged. It starts near the solution, and is never rough."""
+        del rough
         if self._solver is None:
             self._solver = osqp.OSQP()
             self._solver.setup(form.hessian, form.gradient, form.rows, form.lower, form.upper, verbose=False,

@@ -17,9 +17,9 @@ _SAMPLED = 0.1
 """Distance over which the first curvature is measured: a learned reward's ridges count as curvature then [rad]."""
 _LEAST_CURVATURE = 0.05
 """Smallest curvature that a search starts with [1/rad^2]."""
-_KEPT_CURVATURES = 0.1, 100.0
-"""Smallest and largest curvature that the next problem starts with: a ridge that was crossed is not met again."""
 _SMALLEST_RADIUS = 1e-3
+_FAR = 0.3
+"""Expected gain of a step after which the next one need not be exact [1]."""
 _POOR = 0.1
 """Share of the expected gain below which a shorter step is tried too: it costs a third of a quadratic programme."""
 _SHORTER = 0.4
@@ -29,6 +29,9 @@ _SHRINK = 0.7
 _LARGEST_RADIUS = 0.6
 _LAST = 2
 """Iterations in a row that gain too little, with which a search ends."""
+_SHARE, _FINEST = 1e-3, 0.02
+"""Share of the cost that is too little where that is less than the tolerance, as near zero, and the part of the
+tolerance that always is [1]."""
 
 
 def first_curvature(problem: PlanningProblem, at: Evaluation) -> Array:
@@ -44,12 +47,6 @@ def first_curvature(problem: PlanningProblem, at: Evaluation) -> Array:
     values, axes = np.linalg.eigh(problem.reward_curvature(at, _SAMPLED))
     values = np.maximum(np.abs(values), _LEAST_CURVATURE)
     return np.asarray((axes * values[:, None]) @ axes.transpose(0, 2, 1))
-
-
-def kept_curvature(blocks: Array) -> Array:
-    """Take over what was learned of curvature into a search of nearly the same problem, shape (m, n, n) [1/rad^2]."""
-    values, axes = np.linalg.eigh(blocks)
-    return np.asarray((axes * np.clip(values, *_KEPT_CURVATURES)[:, None]) @ axes.transpose(0, 2, 1))
 
 
 def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evaluation, blocks: Array,
@@ -73,19 +70,20 @@ def iterations(problem: PlanningProblem, subproblem: Subproblem, present: Evalua
     Raises:
         PlanningError: The reward is not finite.
     """
-    radius, small = config.trust_radius, 0
+    radius, small, predicted = config.trust_radius, 0, np.inf
     for _ in range(config.max_iterations):
-        step = subproblem.solve(present, blocks, radius, PENALTY)
+        enough = config.tolerance * min(1.0, max(_FINEST, _SHARE * abs(present.cost) / config.tolerance))
+        step = subproblem.solve(present, blocks, radius, PENALTY, rough=predicted > _FAR)
         predicted = PENALTY * float(present.shortfalls.sum() - step.shortfalls.sum()) - step.cost
         trial = problem.evaluate(_along(problem, present, step.change))
         ratio = (merit(present) - merit(trial)) / max(predicted, 1e-12)
         blocks[:] = updated_curvature(blocks, step.change, trial.reward_gradients - present.reward_gradients)
-        if ratio < _POOR and predicted > config.tolerance:
+        if ratio < _POOR and predicted > enough:
             trial = min(trial, problem.evaluate(_along(problem, present, _SHORTER * step.change)), key=merit)
         achieved, largest = merit(present) - merit(trial), float(np.abs(step.change).max())
         if achieved > max(0.0, 1e-3 * predicted):
             present = trial
-        small = small + 1 if max(predicted, achieved) < config.tolerance else 0
+        small = small + 1 if max(predicted, achieved) < enough else 0
         if ratio < 0.25:
             radius = (1.0 if achieved > 0 else _SHRINK) * min(radius, largest)
         elif ratio > 0.75 and largest > 0.9 * radius:

@@ -46,7 +46,7 @@ class Subproblem:
         self._width = _WIDTH
         self._most = _MOST + sum(len(one.names) for one in problem.bounds.constraints if one.at_end)
 
-    def solve(self, at: Evaluation, blocks: Array, radius: float, penalty: float) -> Step:
+    def solve(self, at: Evaluation, blocks: Array, radius: float, penalty: float, *, rough: bool = False) -> Step:
         """Find the step that the model likes best.
 
         Args:
@@ -54,6 +54,7 @@ class Subproblem:
             blocks: Curvature of the reward's cost for each free way-point, shape (m, n, n), positive definite.
             radius: Largest change of any joint [rad].
             penalty: Cost of a metre below the floor at one way-point [1/m].
+            rough: True: about that step will do.
         """
         problem = self._problem
         free, gradient = at.waypoints[problem.free], at.reward_gradients + at.roughness_gradient
@@ -63,7 +64,8 @@ class Subproblem:
             lower=np.minimum(np.maximum(problem.lower - free, -radius), 0.0),
             upper=np.maximum(np.minimum(problem.upper - free, radius), 0.0),
             shares=np.clip(problem.rate_shares(at.waypoints), -1.0, 1.0),
-            clearances=clearances, clearance_jacobians=jacobians, penalty=penalty, rate_jacobians=by_rate)).change
+            clearances=clearances, clearance_jacobians=jacobians, penalty=penalty, rate_jacobians=by_rate,
+            rough=rough)).change
         curved = (blocks @ change[:, :, None])[:, :, 0]
         curved += (problem.roughness_hessian @ change) * problem.roughness_weights
         expected = at.clearances + (at.clearance_jacobians @ change[:, :, None])[:, :, 0]
