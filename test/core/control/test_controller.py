@@ -240,6 +240,23 @@ def test_an_arm_whose_joints_are_swapped_is_braked_and_left_to_its_driver(robot)
     assert loop.commands[-1].mode is TeachingMode.HOLD
 
 
+def test_an_arm_whose_states_freeze_is_left_to_its_driver_until_they_change(robot):
+    loop = Loop(robot)
+    loop.start_tracking()
+    loop.run(1.0)
+    before, true_state, last = loop.arm.true_positions, loop.arm.state, loop.arm.state()
+    loop.arm.state = lambda: RobotState(time=true_state().time, positions=last.positions, velocities=last.velocities)
+    loop.run(1.0)
+    assert loop.commands[-1].mode is TeachingMode.STOPPED and "have not changed" in loop.commands[-1].message
+    assert loop.commands[-1].torque is None
+    assert np.abs(loop.arm.true_positions - before).max() < 0.3
+    loop.arm.state = true_state
+    loop.run(0.5)
+    loop.controller.hold(loop.arm.state())
+    loop.run(0.5)
+    assert loop.commands[-1].mode is TeachingMode.HOLD and loop.commands[-1].torque is not None
+
+
 @pytest.mark.parametrize("torque", [np.zeros(2), np.full(7, np.nan), np.full(6, np.inf)])
 def test_a_bad_external_torque_stops(robot, torque):
     controller, state = tracking_controller(robot)

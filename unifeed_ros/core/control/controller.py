@@ -46,7 +46,7 @@ class SharedController:
         self.account = EnergyAccount(self.config)
         """What the arm may still give away."""
         self._law = make_law(robot, self.config)
-        self._watch = StateWatch(robot, self.config)
+        self._watch = StateWatch(robot)
         self._sent: tuple[Array, Array] | None = None
         self._setpoint: Setpoint | None = None
         self._stiffness = np.zeros(robot.n)
@@ -180,6 +180,8 @@ class SharedController:
         usable = self._check(state)
         dt = 0.0
         self._unseen = 0.0 if fresh and usable else self._unseen + min(max(period, 0.0), LONGEST_TICK)
+        if self._watch.frozen and not usable:
+            self._unseen = math.inf  # it has not been seen for as long already
         if usable:
             dt = min(max(state.time - self._state.time, 0.0), LONGEST_TICK) if self._state is not None else 0.0
             self._state = state
@@ -209,7 +211,7 @@ class SharedController:
         if usable:
             speeds = self._reference.setpoint.velocities.tolist() if self._motion and self._reference else (0.0,)
             fault = self._watch.fault_of(state, max(max(speeds), -min(speeds))) or fault
-            usable = not self._watch.doubted or self.mode is TeachingMode.INACTIVE
+            usable = self.mode is TeachingMode.INACTIVE or not (self._watch.doubted or self._watch.frozen)
         if fault is not None and self.mode is not TeachingMode.INACTIVE:
             self.stop(fault)
         return usable
