@@ -85,7 +85,7 @@ def run_experiment(options: argparse.Namespace) -> int:
 
 
 def _lines(summary: Any, page: Path) -> list[str]:
-    words = {True: "supported", False: "NOT supported", None: "too few people to say"}
+    words = {True: "supported", False: "NOT supported", None: "cannot be said"}
     return [*(f"{f.hypothesis}: {words[f.supported]}. {f.ours}" for f in summary.findings),
             *(f"{len(summary.excluded)} people with failed runs: {', '.join(map(str, summary.excluded))}"
               for _ in summary.excluded[:1]),

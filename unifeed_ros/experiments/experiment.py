@@ -73,7 +73,7 @@ class Finding:
     ours: str
     """What we found, in a sentence."""
     supported: bool | None
-    """Whether it is supported; None: too few people to say."""
+    """Whether it is supported; None: it cannot be said, of so few people or because something was not run."""
     tests: Sequence[PairedTest] = ()
     """The comparisons that decide it."""
 

@@ -75,7 +75,7 @@ def _h2(tests: list[PairedTest], others: list[str]) -> Finding:
     paper = "Ours (DCP) outperforms the end-to-end learning baselines BC, AIRL and Atari (p < .05)"
     absent = [name for name in END_TO_END if name not in others]
     if absent:
-        return Finding(hypothesis="H2", paper=paper, ours=f"not measured: {', '.join(absent)} was not run", tests=tests,
+        return Finding(hypothesis="H2", paper=paper, ours=f"not measured: {', '.join(absent)} not run", tests=tests,
                        supported=None)
     missed = [t.second for t in tests if not t.less]
     return Finding(hypothesis="H2", paper=paper, tests=tests, supported=not missed,

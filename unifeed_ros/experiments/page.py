@@ -11,7 +11,7 @@ import pandas as pd
 from unifeed_ros.experiments.analysis import PairedTest
 from unifeed_ros.experiments.experiment import OK, Experiment, Summary
 
-_VERDICTS = {True: "supported", False: "not supported", None: "too few people to say"}
+_VERDICTS = {True: "supported", False: "not supported", None: "cannot be said"}
 
 
 def write_page(folder: Path, experiment: Experiment, summary: Summary, rows: pd.DataFrame, figures: Sequence[Path],
