@@ -32,8 +32,9 @@ class PlannerConfig:
     searched to its end [1]."""
     max_iterations: int = 60
     """Largest number of iterations from each start."""
-    tolerance: float = 2e-3
-    """Improvement, in the reward's spread at one way-point, below which a search has ended [1]."""
+    tolerance: float = 4e-3
+    """Improvement, in the reward's spread at one way-point, below which a search has ended; less where the objective
+    is small [1]."""
     time_budget: float = 5.0
     """Longest wall-clock time of the search [s]; far above the usual 0.3 s, since a search that it ends early depends
     on how busy the machine is."""

@@ -29,7 +29,7 @@ _SHRINK = 0.7
 _LARGEST_RADIUS = 0.6
 _LAST = 2
 """Iterations in a row that gain too little, with which a search ends."""
-_SHARE, _FINEST = 1e-3, 0.02
+_SHARE, _FINEST = 2e-3, 0.02
 """Share of the cost that is too little where that is less than the tolerance, as near zero, and the part of the
 tolerance that always is [1]."""
 
