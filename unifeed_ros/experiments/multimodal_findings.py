@@ -8,7 +8,7 @@ import pandas as pd
 
 from unifeed_ros.core.types import Array
 from unifeed_ros.experiments.analysis import PairedTest
-from unifeed_ros.experiments.experiment import Finding, Summary, complete_people
+from unifeed_ros.experiments.experiment import OK, Finding, Summary, complete_people
 from unifeed_ros.experiments.statistics import mean_table, normality, paired_tests, residuals, rm_anova
 
 OURS = ("Ours (D)", "Ours (C)", "Ours (P)", "Ours (DC)", "Ours (DP)", "Ours (CP)", "Ours (DCP)")
@@ -16,6 +16,10 @@ OURS = ("Ours (D)", "Ours (C)", "Ours (P)", "Ours (DC)", "Ours (DP)", "Ours (CP)
 DCP, RRIC = OURS[-1], "RRIC"
 END_TO_END = ("BC", "AIRL", "Atari")
 """The paper's other methods that are told no features."""
+COLOURS = dict(zip((*END_TO_END, *OURS, RRIC), (
+    "#c8553d", "#f2a65a", "#b08968", "#b7e4c7", "#95d5b2", "#74c69d", "#52b788", "#40916c", "#2d6a4f", "#081c15",
+    "#7b5ea7"), strict=True))
+"""Of the methods from left to right: ours green, the darker the more kinds of feedback."""
 FEW = 3
 """People under whom nothing is decided."""
 
@@ -29,7 +33,8 @@ def analyse(rows: pd.DataFrame) -> Summary:
     Returns:
         What they come to.
     """
-    complete, excluded = complete_people(rows)
+    complete, failing = compared(rows)
+    excluded = sorted(int(p) for p in rows.loc[rows["status"] != OK, "person"].unique())
     people = complete["person"].nunique()
     if not people:
         return Summary(people=0, excluded=excluded)
@@ -43,6 +48,8 @@ def analyse(rows: pd.DataFrame) -> Summary:
              f"better by at most {max(0.0, -complete['optimum_gap'].min()):.2%} of the straight line's regret.",
              f"Plans that kept no limits, so that the robot stayed with its last motion: "
              f"{int((~complete['planned'].astype(bool)).sum())} of {len(complete)}."]
+    if failing:
+        notes.append(f"Left out, because every run of theirs failed: {', '.join(failing)}.")
     if people < FEW:
         return Summary(people=people, excluded=excluded, tables=tables, notes=notes)
     there = set(last["method"])
@@ -60,6 +67,20 @@ def analyse(rows: pd.DataFrame) -> Summary:
          "p (ranks)": t.p_ranks, "g": t.effect_size} for t in (*parts, *learned, known)]
     return Summary(people=people, excluded=excluded, tables=tables, notes=notes, anovas=anovas,
                    findings=[_h1(parts), _h2(learned, others), _h3(known)])
+
+
+def compared(rows: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
+    """Take the rows that can be compared: of methods that did not fail with everybody, people without a failed run.
+
+    Args:
+        rows: All rows.
+
+    Returns:
+        Their rows, and the methods that failed with everybody.
+    """
+    well = set(rows.loc[rows["status"] == OK, "method"])
+    complete, _ = complete_people(rows[rows["method"].isin(well)])
+    return complete, sorted(set(rows["method"]) - well)
 
 
 def _h1(tests: list[PairedTest]) -> Finding:
@@ -121,13 +142,13 @@ def draw(rows: pd.DataFrame, folder: Path) -> list[Path]:
     """
     import matplotlib.pyplot as plt
 
-    from unifeed_ros.experiments.figures import bars, colours_of, curves, quantile_plot, save
+    from unifeed_ros.experiments.figures import bars, curves, quantile_plot, save
 
-    complete, _ = complete_people(rows)
+    complete, _ = compared(rows)
     if complete.empty:
         return []
-    methods = [m for m in (*OURS, *END_TO_END, RRIC) if m in set(complete["method"])]
-    colours = colours_of(methods)
+    methods = [m for m in COLOURS if m in set(complete["method"])]
+    colours = {m: COLOURS[m] for m in methods}
     last = complete[complete["interaction"] == complete["interaction"].max()]
     each = last.groupby(["person", "method"], as_index=False)["regret"].mean()
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
