@@ -38,7 +38,7 @@ class CloningConfig:
 
     epochs: int = 300
     """Times that training goes through what was shown."""
-    batches: int = 10
+    batches: int = 3
     """Batches in which it does so each time."""
     learning_rate: float = 1e-3
     """Of Adam."""
