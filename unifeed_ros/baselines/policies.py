@@ -90,6 +90,8 @@ class AtariConfig:
     """Motions that are carried out at once."""
     learning_rate: float = 1e-3
     """Of SAC."""
+    entropy: float = 0.01
+    """Weight of the policy's entropy at the start; SAC goes on to fit it. From 1, its own, the clone is soon lost."""
     discount: float = 0.99
     """Discount gamma."""
     clone: int = 500

@@ -179,7 +179,8 @@ def preferred(space: ToolSpace, request: Mapping[str, Any], rng: np.random.Gener
     venv = RewardVecEnvWrapper(ToolEnv(space, settings["tools"]), reward.predict_processed, ep_history=1)
     sac = SAC("MlpPolicy", venv, seed=int(rng.integers(2**31)), device="cpu", gamma=settings["discount"],
               learning_rate=settings["learning_rate"], batch_size=128, train_freq=1,
-              gradient_steps=settings["tools"], learning_starts=settings["tools"] * space.steps,
+              ent_coef=f"auto_{settings['entropy']}",
+              gradient_steps=settings["tools"], learning_starts=0,  # the clone explores, not chance
               policy_kwargs={"net_arch": [64, 64]})
     shown = [space.shown(np.asarray(path)) for path in request["demonstrations"]]
     _remember(sac, shown, reward)

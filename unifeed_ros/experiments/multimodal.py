@@ -1,4 +1,4 @@
-"""Learning from multiple forms of interaction: ours with any of them, and RRIC (paper sec. "Simulation 1")."""
+"""Learning from multiple forms of interaction: ours with any of them, beside others (paper sec. "Simulation 1")."""
 
 from __future__ import annotations
 
