@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from unifeed_ros.baselines.policies import (
-    _USUAL,
     PYTHON_VARIABLE,
+    USUAL_PYTHON,
     AdversarialConfig,
     AtariConfig,
     CloningConfig,
@@ -30,7 +30,7 @@ from unifeed_ros.resources import config_path
 
 CONTEXT = Context(goal=np.array([0.5, -0.2, 0.3]))
 STATES, DURATION = 20, 3.0
-needs_environment = pytest.mark.skipif(not Path(os.environ.get(PYTHON_VARIABLE, _USUAL)).is_file(),
+needs_environment = pytest.mark.skipif(not Path(os.environ.get(PYTHON_VARIABLE, USUAL_PYTHON)).is_file(),
                                        reason="`make policies` was not run")
 
 

@@ -25,7 +25,8 @@ from unifeed_ros.core.types import Array, Trajectory
 PYTHON_VARIABLE = "UNIFEED_POLICIES_PYTHON"
 """Environment variable with the Python interpreter of the libraries' environment, where it is not the usual one."""
 _WORKER = Path(__file__).with_name("policy_worker.py")
-_USUAL = Path(__file__).resolve().parents[2] / ".venv-policies" / "bin" / "python"
+USUAL_PYTHON = Path(__file__).resolve().parents[2] / ".venv-policies" / "bin" / "python"
+"""What `make policies` makes."""
 _DAMPING = 1e-3
 """Damping of the joint displacements that follow the tool's path [m^2]."""
 _ROOM = 1.25
@@ -50,7 +51,7 @@ class CloningConfig:
 class AdversarialConfig:
     """AIRL with PPO."""
 
-    rounds: int = 15
+    rounds: int = 10
     """Rounds of policy and discriminator."""
     tools: int = 16
     """Motions that are carried out at once."""
@@ -68,10 +69,10 @@ class AdversarialConfig:
     """Discount gamma, also of the shaping."""
     entropy: float = 0.0
     """Weight of the policy's entropy."""
-    log_std: float = -1.0
+    log_std: float = -2.0
     """Logarithm of the policy's standard deviation at the start, of a share of the largest step."""
-    clone: int = 0
-    """Times that the policy's training goes through the demonstrations before it; 0: it begins at random."""
+    clone: int = 100
+    """Times that cloning goes through the demonstrations before the rounds begin; 0: they begin at random."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +85,7 @@ class AtariConfig:
     """Motions of that policy that each demonstration is ranked over without asking."""
     reward_epochs: int = 100
     """Times that the reward's training goes through the rankings."""
-    steps: int = 2000
+    steps: int = 600
     """Steps of the tools while SAC trains."""
     tools: int = 8
     """Motions that are carried out at once."""
@@ -111,7 +112,7 @@ class Worker:
         Args:
             python: Interpreter of the libraries' environment; None: that of `make policies`.
         """
-        self._python = python or Path(os.environ.get(PYTHON_VARIABLE, _USUAL))
+        self._python = python or Path(os.environ.get(PYTHON_VARIABLE, USUAL_PYTHON))
         self._process: subprocess.Popen[str] | None = None
 
     def __enter__(self) -> Worker:
