@@ -30,6 +30,7 @@ from unifeed_ros.resources import config_path
 
 CONTEXT = Context(goal=np.array([0.5, -0.2, 0.3]))
 STATES, DURATION = 20, 3.0
+pytestmark = pytest.mark.timeout(400)  # the libraries alone take seconds to load
 needs_environment = pytest.mark.skipif(not Path(os.environ.get(PYTHON_VARIABLE, USUAL_PYTHON)).is_file(),
                                        reason="`make policies` was not run")
 
@@ -153,7 +154,7 @@ def test_airl_comes_to_move_as_the_expert_does(robot, start, worker):
 def test_atari_moves_towards_what_is_preferred(robot, start, worker):
     """Christiano et al. 2017: rankings of pairs suffice to maximise a reward that nobody wrote down; here, height."""
     def taught(answers):
-        learner = learner_of("Atari", worker, robot, start, AtariConfig(automatic=0))
+        learner = learner_of("Atari", worker, robot, start, AtariConfig(automatic=0, learning_rate=1e-3))
         for k, height in enumerate((0.0, 0.1)):
             learner.learn(demonstration(robot, start, f"d{k}", height))
         for k in range(6):

@@ -31,6 +31,8 @@ _DAMPING = 1e-3
 """Damping of the joint displacements that follow the tool's path [m^2]."""
 _ROOM = 1.25
 """Largest step of a policy over the largest one that was shown [1]."""
+_MARGIN = 0.1
+"""How far from the box of what was shown a policy may move the tool, in each direction [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,13 +91,13 @@ class AtariConfig:
     """Steps of the tools while SAC trains."""
     tools: int = 8
     """Motions that are carried out at once."""
-    learning_rate: float = 1e-3
+    learning_rate: float = 1e-4
     """Of SAC."""
     entropy: float = 0.01
     """Weight of the policy's entropy at the start; SAC goes on to fit it. From 1, its own, the clone is soon lost."""
     discount: float = 0.99
     """Discount gamma."""
-    clone: int = 500
+    clone: int = 2000
     """Steps that bring SAC's policy to the demonstrations before it begins."""
 
 
@@ -238,7 +240,11 @@ class PolicyLearner:
             raise InputError(f"what {method} learns from", expected="a demonstration first", got="none")
         spans = [self._span(item) for item in self._items if isinstance(item, Correction)]
         largest = _ROOM * max(float(np.abs(np.diff(path, axis=0)).max()) for path in shown)
+        whole = np.concatenate(shown)
+        box = whole.min(axis=0) - _MARGIN, whole.max(axis=0) + _MARGIN
+        box[0][2] = max(box[0][2], self._lowest)
         answer = self._worker.train({
+            "box": [corner.tolist() for corner in box],
             "method": method, "seed": self._seed, "start": self._robot.tool_states(self._start[None])[0, :3].tolist(),
             "steps": self._waypoints - 1, "largest": largest, "samples": samples, "settings": asdict(config),
             "demonstrations": [path.tolist() for path in shown],
@@ -258,9 +264,7 @@ class PolicyLearner:
         return np.asarray(self._robot.tool_states(item.corrected.positions_at(times))[:, :3]), first
 
     def _followed(self, path: Sequence[Sequence[float]]) -> Trajectory:
-        above = np.asarray(path)
-        above[:, 2] = np.maximum(above[:, 2], self._lowest)
-        positions = follow(self._robot, self._start, above, self._duration)
+        positions = follow(self._robot, self._start, np.asarray(path), self._duration)
         return Trajectory(joint_names=self._robot.joint_names, positions=positions,
                           times=np.linspace(0.0, self._duration, len(positions)))
 

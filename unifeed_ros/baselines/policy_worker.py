@@ -42,12 +42,13 @@ class ToolSpace:
         start: Where the tool starts, shape (3,) [m].
         steps: Steps of a motion.
         largest: Largest step of a coordinate [m].
+        box: Least and largest coordinates of the tool, shape (2, 3) [m]: a learned reward says nothing beyond.
         observations: Space of the observations.
         actions: Space of the actions.
     """
 
-    def __init__(self, start: Array, steps: int, largest: float) -> None:
-        self.start, self.steps, self.largest = start, steps, largest
+    def __init__(self, start: Array, steps: int, largest: float, box: Array) -> None:
+        self.start, self.steps, self.largest, self.box = start, steps, largest, box
         self.observations = gymnasium.spaces.Box(-10.0, 10.0, (4,), np.float32)
         self.actions = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
 
@@ -58,7 +59,7 @@ class ToolSpace:
 
     def moved(self, positions: Array, actions: Array) -> Array:
         """Give positions after actions, shape (N, 3) each."""
-        return positions + self.largest * np.clip(actions, -1.0, 1.0)
+        return np.clip(positions + self.largest * np.clip(actions, -1.0, 1.0), *self.box)
 
     def shown(self, path: Array, passed: int = 0, *, whole: bool = True) -> types.Trajectory:
         """Read positions, shape (K, 3) [m], that a person moved the tool through, as observations and actions."""
@@ -249,7 +250,7 @@ def answer(request: Mapping[str, Any]) -> dict[str, Any]:
     began = time.process_time()
     torch.manual_seed(request["seed"])
     np.random.seed(request["seed"])  # noqa: NPY002  the libraries draw from it
-    space = ToolSpace(np.asarray(request["start"]), request["steps"], request["largest"])
+    space = ToolSpace(np.asarray(request["start"]), request["steps"], request["largest"], np.asarray(request["box"]))
     policy = TRAINERS[request["method"]](space, request, np.random.default_rng(request["seed"]))
     policy.set_training_mode(False)
     return {"motion": space.rolled_out(policy, 1, deterministic=True)[0].tolist(),
