@@ -8,7 +8,7 @@ BIN := .venv/bin
 export OMP_NUM_THREADS := 1
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 
-.PHONY: setup demo test lint bench clean
+.PHONY: setup demo test lint bench policies clean
 
 setup:
 	@command -v $(PYTHON) > /dev/null || { echo "setup: no $(PYTHON): sudo apt install python3" >&2; exit 2; }
@@ -35,6 +35,15 @@ lint: setup
 bench: setup
 	$(BIN)/unifeed bench lesson $(BENCH_ARGS)
 
+# The libraries that train the compared policies (BC, AIRL, Atari of `unifeed experiment multimodal`); 1.5 GB.
+policies: .venv-policies/made
+.venv-policies/made: requirements-policies.txt
+	rm -rf .venv-policies
+	$(PYTHON) -m venv .venv-policies
+	.venv-policies/bin/python -m pip install --quiet --requirement requirements-policies.txt
+	.venv-policies/bin/python -P unifeed_ros/baselines/policy_worker.py < /dev/null
+	touch $@
+
 clean:
-	rm -rf .venv build install log out .pytest_cache .ruff_cache .mypy_cache .hypothesis *.egg-info
+	rm -rf .venv .venv-policies build install log out .pytest_cache .ruff_cache .mypy_cache .hypothesis *.egg-info
 	find unifeed_ros test scripts launch -name __pycache__ -type d -prune -exec rm -rf {} +

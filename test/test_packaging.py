@@ -36,9 +36,13 @@ def described():
     return given
 
 
-def imported_packages():
+ELSEWHERE = ROOT / "unifeed_ros" / "baselines" / "policy_worker.py"
+"""Runs in the environment of `make policies`."""
+
+
+def imported_packages(paths=None):
     found = set()
-    for path in (ROOT / "unifeed_ros").rglob("*.py"):
+    for path in paths or set((ROOT / "unifeed_ros").rglob("*.py")) - {ELSEWHERE}:
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import):
                 found |= {alias.name.split(".")[0] for alias in node.names}
@@ -93,6 +97,15 @@ def test_every_requirement_is_imported():
     lines = (ROOT / "requirements.txt").read_text().splitlines()
     pinned = {line.split("==")[0].lower() for line in lines if "==" in line}
     assert pinned <= used | without_import
+
+
+def test_what_runs_in_the_environment_of_policies_has_its_own_requirements_and_nothing_of_this_package():
+    lines = (ROOT / "requirements-policies.txt").read_text().splitlines()
+    pinned = {line.split("==")[0].replace("-", "_") for line in lines if "==" in line}
+    assert imported_packages([ELSEWHERE]) <= pinned
+    assert "unifeed_ros" not in {name for node in ast.walk(ast.parse(ELSEWHERE.read_text()))
+                                 if isinstance(node, ast.ImportFrom) for name in node.module.split(".")}
+    assert not any("policy_worker import" in path.read_text() for path in (ROOT / "unifeed_ros").rglob("*.py"))
 
 
 def test_every_requirement_is_pinned_without_an_index():

@@ -4,11 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from unifeed_ros.baselines.policies import Worker
 from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.reward.queries import QueryConfig
-from unifeed_ros.experiments.experiment import RunSettings, find_experiment
+from unifeed_ros.experiments.experiment import FAILED, RunSettings, find_experiment
 from unifeed_ros.experiments.features import lesson_of
-from unifeed_ros.experiments.multimodal import INPUTS, TASKS, MultimodalConfig, run_condition
+from unifeed_ros.experiments.multimodal import INPUTS, TASKS, MultimodalConfig, run_condition, run_policy
 from unifeed_ros.experiments.multimodal_findings import DCP, END_TO_END, OURS, RRIC, analyse, draw
 
 QUICK = MultimodalConfig(ours=TrainingConfig(members=3), questions=QueryConfig(candidates=60))
@@ -25,7 +26,10 @@ def rows_without_times(method, lesson, inputs):
 
 
 def test_each_method_has_six_inputs_evenly_split():
+    assert (INPUTS["BC"], INPUTS["AIRL"], INPUTS["Atari"]) == ("DDDDDD", "DDDDDD", "DDPPPP")  # the paper's
     for method, inputs in INPUTS.items():
+        if method in END_TO_END:
+            continue
         kinds = DCP if method == RRIC else method
         letters = kinds.removeprefix("Ours (").removesuffix(")")
         assert len(inputs) == 6 and {inputs.count(letter) for letter in letters} == {6 // len(letters)}
@@ -69,6 +73,31 @@ def test_hypotheses_are_found_where_they_hold_and_not_where_they_do_not():
     assert "Ours (DC)" in found["H1"].ours and "AIRL" in found["H2"].ours and "more regret" in found["H3"].ours
 
 
+def test_methods_that_failed_with_everybody_are_left_out_and_said_to_be():
+    rows = rows_of(5, {**BEST, "BC": 3.0})
+    rows.loc[rows["method"] == "BC", ["status", "message"]] = "failed", "no environment"
+    summary = analyse(rows)
+    assert summary.people == 5 and summary.excluded == list(range(5))
+    assert {f.hypothesis: f.supported for f in summary.findings} == {"H1": True, "H2": None, "H3": True}
+    assert any("BC" in note and "failed" in note for note in summary.notes)
+
+
+def test_a_person_with_one_failed_run_is_left_out_of_the_statistics():
+    rows = rows_of(5, {**BEST, "BC": 3.0})
+    rows.loc[(rows["person"] == 2) & (rows["method"] == "BC"), "status"] = "failed"
+    summary = analyse(rows)
+    assert summary.people == 4 and summary.excluded == [2]
+    assert all(t.people == 4 for f in summary.findings for t in f.tests)
+
+
+@pytest.mark.parametrize("method", END_TO_END)
+def test_a_policy_that_cannot_be_trained_is_a_failed_row_that_says_how_to_mend_it(lesson, method, tmp_path):
+    with Worker(tmp_path / "python") as missing:
+        (row,) = run_policy(method, lesson, missing, QUICK)
+    assert (row["status"], row["task"], row["method"]) == (FAILED, "laptop", method)
+    assert "make policies" in row["message"]
+
+
 @pytest.mark.parametrize("people", [1, 3])
 def test_few_people_still_give_tables_and_figures(people, tmp_path):
     rows = rows_of(people, BEST)
@@ -79,4 +108,4 @@ def test_few_people_still_give_tables_and_figures(people, tmp_path):
 
 def test_it_is_registered_with_every_condition():
     experiment = find_experiment("multimodal")
-    assert len(experiment.conditions) == len(TASKS) * 8 and experiment.people == 15
+    assert len(experiment.conditions) == len(TASKS) * 11 and experiment.people == 15

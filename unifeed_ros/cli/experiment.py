@@ -13,9 +13,9 @@ from typing import Any
 from unifeed_ros.cli.arguments import UserMistake
 from unifeed_ros.experiments.experiment import (
     EXPERIMENTS,
+    OK,
     RunSettings,
     Summary,
-    complete_people,
     find_experiment,
 )
 
@@ -71,9 +71,9 @@ def run_experiment(options: argparse.Namespace) -> int:
         _say(str(error))
         return 1
     rows = folder.collect(range(count))
-    complete, excluded = complete_people(rows)
-    summary = Summary(people=0, excluded=excluded) if complete.empty else experiment.analyse(rows)
-    figures = [] if complete.empty else experiment.draw(rows, out)
+    nothing = not (rows["status"] == OK).any()
+    summary = Summary(people=0, excluded=list(range(count))) if nothing else experiment.analyse(rows)
+    figures = [] if nothing else experiment.draw(rows, out)
     command = f"unifeed experiment {options.name} --people {count} --seed {options.seed}"
     run = progress.describe(rows, command, options.jobs, options.cluster)
     text = json.dumps(_writable(summary.to_mapping()), indent=2, ensure_ascii=False)

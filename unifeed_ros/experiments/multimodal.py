@@ -1,4 +1,4 @@
-"""Learning from multiple forms of interaction: ours with any of them, and RRIC (paper sec. "Simulation 1")."""
+"""Learning from multiple forms of interaction: ours with any of them, beside others (paper sec. "Simulation 1")."""
 
 from __future__ import annotations
 
@@ -11,27 +11,36 @@ import numpy as np
 
 from unifeed_ros.baselines.learner import Learner, feature_counts, features_in
 from unifeed_ros.baselines.ours import Ours
+from unifeed_ros.baselines.policies import (
+    AdversarialConfig,
+    AtariConfig,
+    CloningConfig,
+    PolicyConfig,
+    PolicyLearner,
+    Worker,
+)
 from unifeed_ros.baselines.rric import Rric, RricConfig
-from unifeed_ros.core.errors import PlanningError
+from unifeed_ros.core.errors import PlanningError, UnifeedError
 from unifeed_ros.core.feedback.items import FeedbackItem
 from unifeed_ros.core.planning.plan import Plan, plan_motion
 from unifeed_ros.core.planning.problem import StateReward
 from unifeed_ros.core.reward.config import TrainingConfig
 from unifeed_ros.core.reward.queries import QueryConfig, most_informative, select_query, with_variations
 from unifeed_ros.core.types import Context, Trajectory
-from unifeed_ros.experiments.experiment import Condition, Experiment, Row, RunSettings
+from unifeed_ros.experiments.experiment import FAILED, Condition, Experiment, Row, RunSettings
 from unifeed_ros.experiments.features import Lesson, lesson_of
 from unifeed_ros.experiments.features_findings import FEATURES
-from unifeed_ros.experiments.multimodal_findings import DCP, OURS, RRIC, analyse, draw
+from unifeed_ros.experiments.multimodal_findings import DCP, END_TO_END, OURS, RRIC, analyse, draw
 from unifeed_ros.simulation.tasks import endpoints
 
 TASKS = ("table", "laptop")
 """The paper's."""
 PEOPLE = 15
 INPUTS: Mapping[str, str] = {
+    "BC": "DDDDDD", "AIRL": "DDDDDD", "Atari": "DDPPPP",
     "Ours (D)": "DDDDDD", "Ours (C)": "CCCCCC", "Ours (P)": "PPPPPP", "Ours (DC)": "DDDCCC", "Ours (DP)": "DDDPPP",
     "Ours (CP)": "CCCPPP", DCP: "DDCCPP", RRIC: "DDCCPP"}
-"""Inputs of each method, split evenly as in the paper: demonstrations, then corrections, then rankings."""
+"""Inputs of each method, split as in the paper: demonstrations, then corrections, then rankings."""
 OPINIONS = 50
 """Samples of RRIC's posterior that a question is chosen by."""
 
@@ -46,7 +55,10 @@ class MultimodalConfig:
         demonstration_rationality=50.0, correction_rationality=50.0, preference_rationality=2.0))
     """Of RRIC."""
     questions: QueryConfig = field(default_factory=QueryConfig)
-    """How questions are chosen, alike for all."""
+    """How questions are chosen, alike for all that plan."""
+    policies: Mapping[str, PolicyConfig] = field(default_factory=lambda: {
+        "BC": CloningConfig(), "AIRL": AdversarialConfig(), "Atari": AtariConfig()})
+    """Of the methods that learn a policy."""
 
 
 def run_person(person: int, settings: RunSettings, config: MultimodalConfig | None = None) -> list[Row]:
@@ -61,9 +73,53 @@ def run_person(person: int, settings: RunSettings, config: MultimodalConfig | No
         One row an interaction.
     """
     config, rows = config or MultimodalConfig(), []
-    for task in TASKS:
-        lesson = lesson_of(task, person, settings, "panda")
-        rows += [row for method in INPUTS for row in run_condition(method, lesson, settings.rng(person, 20), config)]
+    with Worker() as worker:
+        for task in TASKS:
+            lesson = lesson_of(task, person, settings, "panda")
+            rows += [row for method in INPUTS for row in (
+                run_policy(method, lesson, worker, config) if method in END_TO_END
+                else run_condition(method, lesson, settings.rng(person, 20), config))]
+    return rows
+
+
+def run_policy(method: str, lesson: Lesson, worker: Worker, config: MultimodalConfig, inputs: str = "") -> list[Row]:
+    """Teach one task to a method that learns a policy, and moves only where a motion is corrected and at the end.
+
+    Args:
+        method: Its name.
+        lesson: The person and the task.
+        worker: Trains it.
+        config: Settings.
+        inputs: Letters D, C and P in order, D first; empty: the method's.
+
+    Returns:
+        One row an input after which it moved; where it could not be trained, a failed one that says why.
+    """
+    yardstick, person, inputs = lesson.optimum.yardstick, lesson.person(), inputs or INPUTS[method]
+    scene = yardstick.task.scene
+    learner = PolicyLearner(method, worker, lesson.robot, endpoints(lesson.robot, scene)[0], scene.duration,
+                            lesson.planner.waypoints, config.policies[method], lesson.seed[1], scene.floor)
+    rows: list[Row] = []
+    motion: Trajectory | None = None
+    common = {"task": yardstick.task.name, "method": method}
+    try:
+        for number, letter in enumerate(inputs, 1):
+            began, spent = time.thread_time(), learner.seconds
+            if letter == "D":
+                learner.learn(person.demonstrate(f"demonstration {number}"))
+            elif letter == "C":
+                learner.learn(person.correct(f"correction {number}", motion or learner.motion()))
+            else:
+                learner.learn(person.rank(f"preference {number}", learner.question()))
+            if number < len(inputs) and inputs[number] != "C":
+                continue
+            motion = learner.motion()
+            rows.append({**common, "interaction": number, "input": letter, "regret": yardstick.regret(motion),
+                         "normalised_regret": yardstick.normalised_regret(motion), "planned": True,
+                         "optimum_gap": lesson.optimum.gap,
+                         "seconds_train": learner.seconds - spent + time.thread_time() - began})
+    except UnifeedError as error:
+        return [{**common, "interaction": 0, "status": FAILED, "message": str(error)}]
     return rows
 
 
@@ -174,5 +230,5 @@ def _planned(lesson: Lesson, reward: Any) -> Plan:
 EXPERIMENT = Experiment(
     name="multimodal", title="Multiple forms of interaction", people=PEOPLE,
     source="Simulation 1 (sec:sim_interactions), fig:sim1_new",
-    conditions=[Condition(task=task, method=method) for task in TASKS for method in (*OURS, RRIC)],
+    conditions=[Condition(task=task, method=method) for task in TASKS for method in (*END_TO_END, *OURS, RRIC)],
     run_person=run_person, analyse=analyse, draw=draw)

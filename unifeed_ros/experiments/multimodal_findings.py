@@ -8,7 +8,7 @@ import pandas as pd
 
 from unifeed_ros.core.types import Array
 from unifeed_ros.experiments.analysis import PairedTest
-from unifeed_ros.experiments.experiment import Finding, Summary, complete_people
+from unifeed_ros.experiments.experiment import OK, Finding, Summary, complete_people
 from unifeed_ros.experiments.statistics import mean_table, normality, paired_tests, residuals, rm_anova
 
 OURS = ("Ours (D)", "Ours (C)", "Ours (P)", "Ours (DC)", "Ours (DP)", "Ours (CP)", "Ours (DCP)")
@@ -16,6 +16,10 @@ OURS = ("Ours (D)", "Ours (C)", "Ours (P)", "Ours (DC)", "Ours (DP)", "Ours (CP)
 DCP, RRIC = OURS[-1], "RRIC"
 END_TO_END = ("BC", "AIRL", "Atari")
 """The paper's other methods that are told no features."""
+COLOURS = dict(zip((*END_TO_END, *OURS, RRIC), (
+    "#c8553d", "#f2a65a", "#b08968", "#b5d99c", "#8cc5b2", "#d6c14e", "#4f9d69", "#3a86a8", "#7f8f3f", "#081c15",
+    "#7b5ea7"), strict=True))
+"""Of the methods from left to right; Ours (DCP) is the darkest."""
 FEW = 3
 """People under whom nothing is decided."""
 
@@ -29,7 +33,8 @@ def analyse(rows: pd.DataFrame) -> Summary:
     Returns:
         What they come to.
     """
-    complete, excluded = complete_people(rows)
+    complete, failing = compared(rows)
+    excluded = sorted(int(p) for p in rows.loc[rows["status"] != OK, "person"].unique())
     people = complete["person"].nunique()
     if not people:
         return Summary(people=0, excluded=excluded)
@@ -43,6 +48,8 @@ def analyse(rows: pd.DataFrame) -> Summary:
              f"better by at most {max(0.0, -complete['optimum_gap'].min()):.2%} of the straight line's regret.",
              f"Plans that kept no limits, so that the robot stayed with its last motion: "
              f"{int((~complete['planned'].astype(bool)).sum())} of {len(complete)}."]
+    if failing:
+        notes.append(f"Left out, because every run of theirs failed: {', '.join(failing)}.")
     if people < FEW:
         return Summary(people=people, excluded=excluded, tables=tables, notes=notes)
     there = set(last["method"])
@@ -60,6 +67,20 @@ def analyse(rows: pd.DataFrame) -> Summary:
          "p (ranks)": t.p_ranks, "g": t.effect_size} for t in (*parts, *learned, known)]
     return Summary(people=people, excluded=excluded, tables=tables, notes=notes, anovas=anovas,
                    findings=[_h1(parts), _h2(learned, others), _h3(known)])
+
+
+def compared(rows: pd.DataFrame) -> tuple[pd.DataFrame, list[str]]:
+    """Take the rows that can be compared: of methods that did not fail with everybody, people without a failed run.
+
+    Args:
+        rows: All rows.
+
+    Returns:
+        Their rows, and the methods that failed with everybody.
+    """
+    well = set(rows.loc[rows["status"] == OK, "method"])
+    complete, _ = complete_people(rows[rows["method"].isin(well)])
+    return complete, sorted(set(rows["method"]) - well)
 
 
 def _h1(tests: list[PairedTest]) -> Finding:
@@ -104,6 +125,8 @@ NOTES = (
     "that the robot planned last, before the first input of the smoothest one, however good it is.",
     "A question compares two of 1000 motions, the robot's own and variations of them, chosen by the expected "
     "information for ours and for RRIC alike; before anything was learned, two at random.",
+    "BC and AIRL get six demonstrations, Atari two and then four rankings of what its clone does. They plan nothing: "
+    "the arm follows what their policy does in the task's duration, and where that ends is not fixed.",
     "H3 counts as supported where no significant difference is found, or ours has less regret; its interval says how "
     "large a difference may be.",
 )
@@ -121,19 +144,20 @@ def draw(rows: pd.DataFrame, folder: Path) -> list[Path]:
     """
     import matplotlib.pyplot as plt
 
-    from unifeed_ros.experiments.figures import bars, colours_of, curves, quantile_plot, save
+    from unifeed_ros.experiments.figures import bars, curves, quantile_plot, save
 
-    complete, _ = complete_people(rows)
+    complete, _ = compared(rows)
     if complete.empty:
         return []
-    methods = [m for m in (*OURS, *END_TO_END, RRIC) if m in set(complete["method"])]
-    colours = colours_of(methods)
+    methods = [m for m in COLOURS if m in set(complete["method"])]
+    colours = {m: COLOURS[m] for m in methods}
     last = complete[complete["interaction"] == complete["interaction"].max()]
     each = last.groupby(["person", "method"], as_index=False)["regret"].mean()
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
     bars(left, each, "regret", colours)
     left.set(ylabel="regret [reward]", title="after six interactions, both tasks")
-    curves(right, complete, "normalised_regret", colours)
+    often = complete.groupby("method")["interaction"].nunique()  # policies move after the last input only
+    curves(right, complete, "normalised_regret", {m: colour for m, colour in colours.items() if often[m] > 1})
     right.set(xlabel="interaction", ylabel="normalised regret", title="after each interaction, both tasks")
     right.legend(frameon=False, fontsize=8, ncols=2)
     normal, axes = plt.subplots(figsize=(4, 4), layout="constrained")
